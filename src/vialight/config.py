@@ -1,0 +1,227 @@
+"""The rig: what is known of vial, resin, camera, projector and stage, read from TOML and checked.
+
+A rig is data: frozen, validated when read, with unknown keys refused.  A command asks for the tables that it needs;
+what it does not need may be absent.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from vialight.errors import InputError
+
+_TURNING_SENSES = {"counter-clockwise": 1, "counterclockwise": 1, "ccw": 1, "clockwise": -1, "cw": -1}
+
+Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Index = Annotated[float, Field(ge=1, lt=4)]
+Distance = Annotated[float, Field(gt=0)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Direction = Annotated[Literal[1, -1], BeforeValidator(lambda value: _TURNING_SENSES.get(value, value))]
+
+
+@dataclass(frozen=True)
+class Optics:
+    """A pupil looking at a vial: all that the course of a ray depends on.
+
+    Parameters
+    ----------
+    outer_radius_mm, inner_radius_mm
+        Radii of the vial's glass; equal where there is no glass.
+    wall_index, resin_index
+        Refractive indices of glass and resin at the device's wavelength; air is 1.
+    distance_mm
+        From the pupil to the rotation axis; ``inf`` for a telecentric device.
+    """
+
+    outer_radius_mm: float
+    inner_radius_mm: float
+    wall_index: float
+    resin_index: float
+    distance_mm: float
+
+    @property
+    def field_radius_mm(self) -> float:
+        """Largest ``|x_v|`` that any ray reaches, ``min(R / n_r, R_i)``."""
+        return min(self.outer_radius_mm / self.resin_index, self.inner_radius_mm)
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
+
+
+class Vial(_Table):
+    """The glass: outer radius, wall and its index; ``wall_mm = 0`` means no glass."""
+
+    outer_radius_mm: Length
+    wall_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    wall_index: Index = 1.5
+
+    @model_validator(mode="after")
+    def _wall_leaves_room(self) -> Vial:
+        if self.wall_mm >= self.outer_radius_mm:
+            raise ValueError(f"wall_mm {self.wall_mm} is not less than outer_radius_mm {self.outer_radius_mm}")
+        return self
+
+
+class ThresholdConditions(_Table):
+    """The imaging conditions that a gelation threshold belongs to."""
+
+    exposure_s: Length | None = None
+    gain_db: Finite | None = None
+    led_level: Finite | None = None
+    binning: Annotated[int, Field(ge=1)] | None = None
+
+
+class Resin(_Table):
+    """The resin: indices at 624 nm (imaging) and 460 nm (writing), absorption, gelation threshold I_p."""
+
+    name: str = ""
+    index_imaging: Index | None = None
+    index_writing: Index | None = None
+    absorption_per_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    threshold: Length | None = None
+    threshold_conditions: ThresholdConditions | None = None
+
+
+class Camera(_Table):
+    """The camera: pupil distance, pixel pitch in the axis plane, and where axis and optical axis meet the image."""
+
+    distance_mm: Distance | None = None
+    pixel_mm: Length
+    axis_column: Finite
+    optical_row: Finite
+
+
+class Projector(_Table):
+    """The projector: a camera run backwards; azimuth is that of its pupil about the axis, 0 at the camera."""
+
+    distance_mm: Distance
+    pixel_mm: Length
+    columns: Annotated[int, Field(ge=1)]
+    rows: Annotated[int, Field(ge=1)]
+    axis_column: Finite
+    azimuth_deg: Finite
+    frame_rate_hz: Length = 32.0
+
+
+class Stage(_Table):
+    """The stage: speed, and whether its angles count counter-clockwise seen from above (1) or clockwise (-1)."""
+
+    speed_deg_s: Length = 20.0
+    direction: Direction = 1
+
+
+class Rig(_Table):
+    """All that is known of a printer; see ``docs/reference.md`` for every key."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")] = 1
+    geometry: Literal["vial", "parallel"] = "vial"
+    vial: Vial | None = None
+    resin: Resin = Resin()
+    camera: Camera | None = None
+    projector: Projector | None = None
+    stage: Stage = Stage()
+    source: Annotated[str, Field(exclude=True, repr=False)] = "rig"
+
+    def need_camera(self) -> Camera:
+        """Return the camera's table, or say that it is missing."""
+        if self.camera is None:
+            raise InputError(
+                self.source, "no table [camera]", accepted="pixel_mm, axis_column, optical_row", remedy="add it"
+            )
+        return self.camera
+
+    def imaging_optics(self) -> Optics | None:
+        """Return what the camera's rays pass through; None for ``geometry = "parallel"``."""
+        if self.geometry == "parallel":
+            return None
+        distance = self.need_camera().distance_mm
+        return self._optics("camera", distance, "index_imaging", self.resin.index_imaging)
+
+    def writing_optics(self) -> Optics | None:
+        """Return what the projector's rays pass through; None for ``geometry = "parallel"``."""
+        if self.geometry == "parallel":
+            return None
+        if self.projector is None:
+            raise InputError(self.source, "no table [projector]", accepted="see docs/reference.md", remedy="add it")
+        return self._optics("projector", self.projector.distance_mm, "index_writing", self.resin.index_writing)
+
+    def _optics(self, device: str, distance: float | None, index_name: str, index: float | None) -> Optics:
+        if self.vial is None:
+            raise InputError(
+                self.source, "no table [vial]", accepted="outer_radius_mm, wall_mm, wall_index",
+                remedy='add it, or set geometry = "parallel" for data without a vial',
+            )  # fmt: skip
+        if index is None:
+            raise InputError(
+                self.source, f"[resin] has no {index_name}", accepted="an index from 1 to 4", remedy="add it"
+            )
+        if distance is None:
+            raise InputError(
+                self.source,
+                f"[{device}] has no distance_mm",
+                accepted="a length, or inf for telecentric",
+                remedy="add it",
+            )
+        if distance <= self.vial.outer_radius_mm:
+            raise InputError(
+                f"{self.source} [{device}]", f"distance_mm {distance} puts the pupil inside the vial",
+                accepted=f"more than outer_radius_mm, {self.vial.outer_radius_mm}", remedy="measure it from the axis",
+            )  # fmt: skip
+        inner = self.vial.outer_radius_mm - self.vial.wall_mm
+        return Optics(self.vial.outer_radius_mm, inner, self.vial.wall_index, index, distance)
+
+
+def load_rig(path: str | Path) -> Rig:
+    """Read and check a rig file.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is not TOML, or holds unknown, missing or impossible values.
+    """
+    path = Path(path)
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            path, f"cannot be read ({error.strerror})", accepted="a rig in TOML", remedy="check the path"
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(
+            path, f"is not TOML ({error})", accepted="a rig in TOML", remedy="see docs/reference.md"
+        ) from error
+    if "source" in table:
+        raise InputError(path, "unknown key source", remedy="remove it")
+    try:
+        return Rig.model_validate(table | {"source": str(path)})
+    except ValidationError as error:
+        raise _explain(path, error) from error
+
+
+def _explain(path: Path, error: ValidationError) -> InputError:
+    fault = error.errors()[0]
+    *tables, key = [str(part) for part in fault["loc"]] or ["rig"]
+    where = f"{path} [{'.'.join(tables)}]" if tables else str(path)
+    model = Rig if not tables else Rig.model_fields[tables[0]].annotation
+    if fault["type"] == "extra_forbidden":
+        names = ", ".join(_keys(model))
+        return InputError(where, f"unknown key {key}", accepted=names, remedy="correct or remove it")
+    if fault["type"] == "missing":
+        return InputError(where, f"key {key} is missing", accepted=", ".join(_keys(model)), remedy="add it")
+    value = fault["input"]
+    return InputError(
+        where, f"{key} is {value!r}", accepted=fault["msg"].removeprefix("Input should be "), remedy="correct it"
+    )
+
+
+def _keys(model: object) -> list[str]:
+    for candidate in (model, *getattr(model, "__args__", ())):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return [field.alias or name for name, field in candidate.model_fields.items() if name != "source"]
+    return []
