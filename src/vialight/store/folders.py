@@ -200,7 +200,7 @@ def _publish(moves: list[tuple[Path, Path]], folder: Path) -> None:
     with _exclusive(folder):
         try:
             for source, target in moves:
-                done.append((source, target, _set_aside(target)))
+                done.append((source, target, _set_aside(target, source)))
                 source.replace(target)
         except BaseException:
             for source, target, former in reversed(done):
@@ -215,12 +215,12 @@ def _publish(moves: list[tuple[Path, Path]], folder: Path) -> None:
                 _remove(former)
 
 
-def _set_aside(target: Path) -> Path | None:
-    """Keep what is at `target` under another name, so that it can be put back."""
+def _set_aside(target: Path, source: Path) -> Path | None:
+    """Keep what is at `target` under another name, so that it can be put back if `source` does not take its place."""
     if not target.exists() and not target.is_symlink():
         return None
     former = _new_name(target.parent, f"former.{target.name}")
-    if not target.is_dir() and not target.is_symlink():
+    if source.is_file() and target.is_file() and not target.is_symlink():
         # With a second link the file is never missing: the rename that follows replaces it in one step.
         with contextlib.suppress(OSError):
             os.link(target, former)

@@ -1,0 +1,131 @@
+"""Results as JSON, and hashes that say which inputs they belong to."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vialight.errors import InputError
+from vialight.store.folders import staged_file
+
+
+def to_json(results: Mapping[str, Any]) -> str:
+    """Return results as JSON text, keys in the order given.
+
+    NumPy numbers and arrays become numbers and lists, paths become strings; what is not a finite number becomes null,
+    since JSON has no NaN.
+
+    Parameters
+    ----------
+    results
+        Nested mappings and sequences of numbers, strings, paths, arrays, booleans and None.
+
+    Raises
+    ------
+    TypeError
+        Something else is in there.
+
+    Examples
+    --------
+    >>> print(to_json({"rmse_mm": np.float64(0.25), "iou": float("nan"), "shape": np.array([2, 3])}))
+    {
+      "rmse_mm": 0.25,
+      "iou": null,
+      "shape": [
+        2,
+        3
+      ]
+    }
+    """
+    return json.dumps(_plain(results), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def write_json(path: str | Path, results: Mapping[str, Any]) -> None:
+    """Write results as `to_json` gives them, with a last newline; the file appears whole, or not at all.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    text = to_json(results) + "\n"
+    with staged_file(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """Read results.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is not JSON, or is no object.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "metrics.json"
+    >>> write_json(path, {"rmse_mm": 0.25})
+    >>> read_json(path)
+    {'rmse_mm': 0.25}
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            path, f"cannot be read ({error.strerror})", accepted="results in JSON", remedy="check the path"
+        ) from error
+    except ValueError as error:  # of JSON or of UTF-8
+        raise InputError(path, f"is not JSON ({error})", accepted="results in JSON", remedy="make it again") from error
+    if not isinstance(content, dict):
+        raise InputError(path, f"holds a {type(content).__name__}", accepted="an object: names and values")
+    return content
+
+
+def sha256_of(path: str | Path) -> str:
+    """Hash a file, or a folder with all that is in it: names and contents, in the order of the names.
+
+    Raises
+    ------
+    InputError
+        It is missing or cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "empty"
+    >>> path.touch()
+    >>> sha256_of(path)[:16]
+    'e3b0c44298fc1c14'
+    """
+    path = Path(path)
+    try:
+        if not path.is_dir():
+            with path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        whole = hashlib.sha256()
+        files = {item.relative_to(path).as_posix(): item for item in path.rglob("*") if item.is_file()}
+        for name in sorted(files):
+            whole.update(f"{sha256_of(files[name])} {name}\0".encode())
+        return whole.hexdigest()
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", remedy="check the path") from error
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
