@@ -20,8 +20,6 @@ from vialight.errors import InputError
 _ANGLE_UNITS = {"deg": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180, "°": np.pi / 180}
 _ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 _TIME_UNITS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6}
-_LIVE_LEAD = 16
-"""How many angles a live writer may be ahead of its frames: more than it adds while a reader opens the file."""
 
 
 def open_frames(path: str | Path) -> FrameFile:
@@ -184,8 +182,8 @@ class FrameFile:
             raise InputError(where, f"is {dataset.dtype} of shape {dataset.shape}", accepted=f"({count},) numbers")
         with _explained(self.path, dataset):
             values: FloatArray = np.asarray(dataset[...], dtype=np.float64).reshape(-1)
-        if self.is_live and count < values.size <= count + _LIVE_LEAD:
-            values = values[:count]
+        if self.is_live:
+            values = values[:count]  # a live writer adds an angle before its frame, and more while we look
         if values.size != count:
             raise InputError(
                 where, f"{values.size} {what} for {count} frames", accepted="one for each frame",

@@ -89,8 +89,8 @@ def write_ply(
     >>> triangle = Mesh([[0, 0, 0], [2, 0, 0], [0, 3, 0]], [[0, 1, 2]])
     >>> path = Path(tempfile.mkdtemp()) / "triangle.ply"
     >>> write_ply(path, triangle, {"deviation_mm": [0.1, 0.0, -0.1]}, np.full((3, 3), 255, np.uint8))
-    >>> path.read_bytes()[:36]
-    b'ply\\nformat binary_little_endian 1.0\\n'
+    >>> path.read_bytes().splitlines()[8]
+    b'property uchar red'
     """
     count = len(mesh.vertices_mm)
     columns: dict[str, NDArray[Any]] = {name: mesh.vertices_mm[:, axis] for axis, name in enumerate("xyz")}

@@ -67,6 +67,7 @@ class FrameWriter:
         dark: ArrayLike | None = None, settings: Mapping[str, object] | None = None, with_time: bool = True,
     ) -> None:  # fmt: skip
         import h5py
+        import hdf5plugin
 
         self.path = Path(path)
         self.count = 0
@@ -77,22 +78,23 @@ class FrameWriter:
         stills = None if dark is None else self._checked(np.asarray(dark), "dark").reshape(-1, *image_shape)
         if self.path.exists():
             raise InputError(self.path, "exists already", accepted="a new name", remedy="move it out of the way")
+        text = json.dumps(dict(settings or {}), allow_nan=False)
+        blosc = hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.SHUFFLE)
         try:
             self._file: Any = h5py.File(self.path, "x", libver="latest")
         except OSError as error:
             raise unwritable(self.path, error) from error
         try:
-            self._lay_out(stills, json.dumps(dict(settings or {}), allow_nan=False), with_time=with_time)
+            self._lay_out(stills, text, blosc, with_time=with_time)
         except BaseException:
             self._file.close()
             self.path.unlink()
             raise
 
-    def _lay_out(self, stills: NDArray[Any] | None, settings: str, *, with_time: bool) -> None:
-        import hdf5plugin
-
+    def _lay_out(
+        self, stills: NDArray[Any] | None, settings: str, blosc: Mapping[str, Any], *, with_time: bool
+    ) -> None:
         rows, columns = self._image_shape
-        blosc = hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.SHUFFLE)
         images = {"dtype": self._dtype, "chunks": (1, rows, columns), **blosc}
         self._file["implements"] = "exchange"
         self._file.create_group("process").attrs["settings"] = settings
