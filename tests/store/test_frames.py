@@ -161,6 +161,10 @@ def test_a_folder_is_not_a_recording(tmp_path: Path) -> None:
     assert "is a folder" in refusal(tmp_path)
 
 
+def test_other_reasons_are_given_in_the_words_of_the_system(tmp_path: Path) -> None:
+    assert "cannot be opened (Not a directory)" in refusal(make_exchange(tmp_path / "f.h5") / "frames.h5")
+
+
 @pytest.mark.parametrize("content", [b"", b"solid cube\n", b"\x00" * 5000])
 def test_a_file_that_is_not_hdf5_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "f.h5"

@@ -5,6 +5,7 @@ h5py is imported when a file is opened, hdf5plugin when one needs it, so that im
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -235,7 +236,8 @@ def _open(path: Path) -> tuple[Any, bool]:
                 path, "is being written by a program that does not share it",
                 accepted="a finished file, or one written in SWMR mode", remedy="wait until it is closed",
             ) from error  # fmt: skip
-        raise InputError(path, f"cannot be opened ({error})", accepted=wanted, remedy="check the file") from error
+        reason = os.strerror(error.errno) if error.errno else text
+        raise InputError(path, f"cannot be opened ({reason})", accepted=wanted, remedy="check the file") from error
 
 
 def _dataset(path: Path, file: Any, name: str) -> Any:
