@@ -26,6 +26,9 @@ Float32Array = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+FAST_MATH = {"reassoc", "contract", "nsz", "arcp"}
+"""What kernels may do to arithmetic: sums in any order, but NaN and infinity keep their meaning."""
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -69,6 +72,27 @@ class Grid:
     def origin_mm(self) -> tuple[float, float, float]:
         """Centre (z, y, x) of the voxel with index (0, 0, 0)."""
         return float(self.z_mm[0]), float(self.y_mm[0]), float(self.x_mm[0])
+
+
+@dataclass(frozen=True)
+class ParallelBeam:
+    """The samples of a sinogram: rays ``x cos(psi) - y sin(psi) = x_v``.
+
+    Parameters
+    ----------
+    psi_rad
+        (psi,) even in number and evenly spaced over a full turn, so that the opposite of angle i is i + count/2.
+    virtual_x_mm
+        (x_v,) evenly spaced and symmetric about 0, so that the opposite of ray i is count - 1 - i.
+    """
+
+    psi_rad: FloatArray
+    virtual_x_mm: FloatArray
+
+    @property
+    def spacing_mm(self) -> float:
+        """Distance between neighbouring rays."""
+        return float(self.virtual_x_mm[1] - self.virtual_x_mm[0])
 
 
 @dataclass(frozen=True)

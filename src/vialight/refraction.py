@@ -101,7 +101,7 @@ def virtual_to_camera(
     Notes
     -----
     In the mid-plane ``b = n_r x_v`` and ``x_c = b / sqrt(1 - b^2/D^2)``.  Above it the elevation sine ``k`` is found by
-    fixed-point iteration of ``z_mid(k) / k``, which depends on ``k`` in second order only.
+    fixed-point iteration, as ``z_mid / k`` depends on ``k`` in second order only.
 
     Examples
     --------
@@ -114,19 +114,55 @@ def virtual_to_camera(
     x_v, z_mid = np.broadcast_arrays(
         np.asarray(virtual_x_mm, dtype=np.float64), np.asarray(mid_height_mm, dtype=np.float64)
     )
-    distance = optics.distance_mm
     elevation_sine = np.zeros(x_v.shape)
-    height_at_axis = z_mid
     for _ in range(_HEIGHT_ITERATIONS):
-        air_index = np.sqrt(1 - elevation_sine**2)
-        impact = x_v * np.sqrt(optics.resin_index**2 - elevation_sine**2) / air_index
-        plan_cosine = np.sqrt(1 - (impact / distance) ** 2)
+        m_air, m_resin = np.sqrt(1 - elevation_sine**2), np.sqrt(optics.resin_index**2 - elevation_sine**2)
+        impact = x_v * m_resin / m_air
+        elevation_sine, z_c = _raise(impact, z_mid, elevation_sine, optics)
+    with np.errstate(invalid="ignore"):
+        return impact / np.sqrt(1 - (impact / optics.distance_mm) ** 2), z_c
+
+
+def height_to_camera(x_c_mm: ArrayLike, mid_height_mm: ArrayLike, optics: Optics) -> FloatArray:
+    """Find where along a column of the image the rays of given mid-heights are seen.
+
+    Parameters
+    ----------
+    x_c_mm, mid_height_mm
+        Column and height of closest approach; any shapes that broadcast.
+    optics
+        The device and the vial.
+
+    Returns
+    -------
+    numpy.ndarray
+        z_c in mm; NaN for columns that miss the vial.
+
+    Examples
+    --------
+    >>> optics = Optics(12.4, 11.3, 1.472, 1.48, 190.0)
+    >>> z_c = height_to_camera(11.0, 7.0, optics)
+    >>> round(float(camera_to_virtual(11.0, z_c, optics).mid_height_mm), 9)
+    7.0
+    """
+    x_c, z_mid = np.broadcast_arrays(np.asarray(x_c_mm, dtype=np.float64), np.asarray(mid_height_mm, dtype=np.float64))
+    impact = x_c / np.sqrt(1 + (x_c / optics.distance_mm) ** 2)
+    elevation_sine, z_c = np.zeros(x_c.shape), z_mid
+    for _ in range(_HEIGHT_ITERATIONS):
+        elevation_sine, z_c = _raise(impact, z_mid, elevation_sine, optics)
+    return z_c
+
+
+def _raise(
+    impact: FloatArray, mid_height: FloatArray, elevation_sine: FloatArray, optics: Optics
+) -> tuple[FloatArray, FloatArray]:
+    """Improve k, and z_c with it, for a given mid-height: both are proportional to it but for terms in k^2."""
+    with np.errstate(invalid="ignore"):
+        cosine = np.sqrt(1 - (impact / optics.distance_mm) ** 2)
+        per_height = np.sqrt(1 - elevation_sine**2) / (cosine * optics.distance_mm)
         plan = _plan_view(impact, elevation_sine, optics)
-        # height_at_axis = (k / m_a) D cos(phi): with k = height_at_axis / D * m_a / cos(phi), z_mid is linear in it.
-        per_height = air_index / (plan_cosine * distance)
-        height_at_axis = z_mid / (1 + per_height * plan.height_per_elevation)
-        elevation_sine = height_at_axis * per_height
-    return impact / plan_cosine, height_at_axis / plan_cosine**2
+        height_at_axis = mid_height / (1 + per_height * plan.height_per_elevation)
+        return height_at_axis * per_height, height_at_axis / cosine**2
 
 
 def small_angle_camera_to_virtual(x_c_mm: ArrayLike, optics: Optics) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,239 @@
+"""The parallel-beam Radon transform of stacks of slices: ramp filters, projection and backprojection.
+
+A ray is the line ``x cos(psi) - y sin(psi) = s`` of the object frame.  Arrays keep z innermost, so that the index and
+the weight of a pixel are computed once and applied to a whole column of slices.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+from numba import njit, prange
+
+from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.errors import InputError
+
+FilterName = Literal["ram-lak", "shepp-logan", "cosine", "hann"]
+
+_TILE = 32
+"""Edge of a tile in pixels: its accumulators and the stretch of sinogram that it reads stay in cache."""
+
+_ANGLES_A_PASS = 6
+"""Angles summed before an accumulator is written back; twelve weights just fit the registers."""
+
+
+def ramp_filter(name: FilterName, count: int, spacing_mm: float) -> Float32Array:
+    """Return a ramp filter as the matrix that convolves a row of samples.
+
+    Parameters
+    ----------
+    name
+        ``ram-lak``: the band-limited ramp, sampled exactly in space (Kak and Slaney 1988, eq. 3.61), so that there is
+        no offset as from a ramp sampled in frequency.  ``shepp-logan``: the ramp times sinc(f / 2 f_N), also exact in
+        space.  ``cosine`` and ``hann``: the band-limited ramp times cos(pi f / 2 f_N) and cos^2(pi f / 2 f_N), as
+        exact combinations of shifted ``ram-lak`` samples.
+    count
+        Samples in a row.
+    spacing_mm
+        Distance between samples; f_N = 1 / (2 spacing).
+
+    Returns
+    -------
+    numpy.ndarray
+        (count, count) float32, 1/mm: ``filtered = matrix @ row``.  Symmetric Toeplitz.
+
+    Examples
+    --------
+    >>> ramp_filter("ram-lak", 2, 1.0)
+    array([[ 0.25      , -0.10132118],
+           [-0.10132118,  0.25      ]], dtype=float32)
+    """
+    lag = np.arange(count, dtype=np.float64)
+    if name == "ram-lak":
+        kernel = _ram_lak(lag)
+    elif name == "shepp-logan":
+        kernel = -2 / (np.pi**2 * (4 * lag**2 - 1))
+    elif name == "cosine":
+        # cos(pi f / 2 f_N) = cos(2 pi f spacing / 2): the mean of the ramp half a sample to the left and to the right.
+        kernel = (_ram_lak(lag - 0.5) + _ram_lak(lag + 0.5)) / 2
+    elif name == "hann":
+        kernel = _ram_lak(lag) / 2 + (_ram_lak(lag - 1) + _ram_lak(lag + 1)) / 4
+    else:
+        raise InputError("filter", f"is {name!r}", accepted=", ".join(get_args(FilterName)))
+    index = np.arange(count)
+    return np.asarray(kernel[np.abs(index[:, None] - index[None, :])] / spacing_mm, dtype=np.float32)
+
+
+def _ram_lak(lag: FloatArray) -> FloatArray:
+    """Return the band-limited ramp at any lag in samples: the inverse transform of |f| for |f| <= 1/2."""
+    return np.sinc(lag) / 2 - np.sinc(lag / 2) ** 2 / 4
+
+
+def backproject(
+    filtered: Float32Array,
+    psi_rad: FloatArray,
+    first_s_mm: float,
+    spacing_mm: float,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+) -> Float32Array:
+    """Smear filtered projections back over their rays and sum them.
+
+    Parameters
+    ----------
+    filtered
+        (psi, s, z) float32.
+    psi_rad
+        (psi,) angles, in any order.
+    first_s_mm, spacing_mm
+        Position of the first sample and distance between samples.
+    x_mm, y_mm
+        Pixel centres.
+
+    Returns
+    -------
+    numpy.ndarray
+        (y, x, z) float32: the plain sum over angles, linearly interpolated in s; what lies outside the samples counts
+        as zero.
+    """
+    short = -len(psi_rad) % _ANGLES_A_PASS
+    if short:
+        filtered = np.concatenate([filtered, np.zeros((short, *filtered.shape[1:]), np.float32)])
+        psi_rad = np.concatenate([psi_rad, np.zeros(short)])
+    total = np.zeros((len(y_mm), len(x_mm), filtered.shape[2]), np.float32)
+    cosine, sine = np.cos(psi_rad) / spacing_mm, np.sin(psi_rad) / spacing_mm
+    _backproject(np.ascontiguousarray(filtered), cosine, sine, first_s_mm / spacing_mm, x_mm, y_mm, total)
+    return total
+
+
+def backproject_tilted(
+    filtered: Float32Array,
+    psi_rad: FloatArray,
+    first_s_mm: float,
+    spacing_mm: float,
+    tilt_per_mm: FloatArray,
+    mid_height_mm: FloatArray,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    z_mm: FloatArray,
+) -> Float32Array:
+    """Backproject along rays that are parallel seen from above and form a fan in z.
+
+    A ray of mid-height ``z_mid`` runs at height ``z_mid (1 + t tilt(s))``, with t along its plan view from the point
+    closest to the axis.
+
+    Parameters
+    ----------
+    filtered
+        (psi, s, z_mid) float32.
+    psi_rad, first_s_mm, spacing_mm, x_mm, y_mm
+        As for `backproject`.
+    tilt_per_mm
+        (s,) rise per mm of plan view and per mm of mid-height.
+    mid_height_mm
+        (z_mid,) evenly spaced, two or more.
+    z_mm
+        (z,) evenly spaced heights of the voxels.
+
+    Returns
+    -------
+    numpy.ndarray
+        (y, x, z) float32.
+    """
+    total = np.zeros((len(y_mm), len(x_mm), len(z_mm)), np.float32)
+    cosine, sine = np.cos(psi_rad), np.sin(psi_rad)
+    _backproject_tilted(
+        filtered, cosine, sine, first_s_mm, spacing_mm, tilt_per_mm, mid_height_mm, x_mm, y_mm, z_mm, total
+    )
+    return total
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _backproject(
+    filtered: Float32Array,
+    cosine: FloatArray,
+    sine: FloatArray,
+    first: float,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    total: Float32Array,
+) -> None:
+    angles, samples, depth = filtered.shape
+    tiles_x = (len(x_mm) + _TILE - 1) // _TILE
+    tiles_y = (len(y_mm) + _TILE - 1) // _TILE
+    for tile in prange(tiles_x * tiles_y):
+        y_start = tile // tiles_x * _TILE
+        x_start = tile % tiles_x * _TILE
+        for a in range(0, angles, _ANGLES_A_PASS):
+            for iy in range(y_start, min(y_start + _TILE, len(y_mm))):
+                for ix in range(x_start, min(x_start + _TILE, len(x_mm))):
+                    x, y = x_mm[ix], y_mm[iy]
+                    i0, v0, w0 = _tap(x * cosine[a] - y * sine[a] - first, samples)
+                    i1, v1, w1 = _tap(x * cosine[a + 1] - y * sine[a + 1] - first, samples)
+                    i2, v2, w2 = _tap(x * cosine[a + 2] - y * sine[a + 2] - first, samples)
+                    i3, v3, w3 = _tap(x * cosine[a + 3] - y * sine[a + 3] - first, samples)
+                    i4, v4, w4 = _tap(x * cosine[a + 4] - y * sine[a + 4] - first, samples)
+                    i5, v5, w5 = _tap(x * cosine[a + 5] - y * sine[a + 5] - first, samples)
+                    for z in range(depth):
+                        total[iy, ix, z] += (
+                            v0 * filtered[a, i0, z]
+                            + w0 * filtered[a, i0 + 1, z]
+                            + v1 * filtered[a + 1, i1, z]
+                            + w1 * filtered[a + 1, i1 + 1, z]
+                            + v2 * filtered[a + 2, i2, z]
+                            + w2 * filtered[a + 2, i2 + 1, z]
+                            + v3 * filtered[a + 3, i3, z]
+                            + w3 * filtered[a + 3, i3 + 1, z]
+                            + v4 * filtered[a + 4, i4, z]
+                            + w4 * filtered[a + 4, i4 + 1, z]
+                            + v5 * filtered[a + 5, i5, z]
+                            + w5 * filtered[a + 5, i5 + 1, z]
+                        )
+
+
+@njit(inline="always")
+def _tap(position: float, samples: int) -> tuple[int, np.float32, np.float32]:
+    """Return index and the two weights of linear interpolation; weights 0 outside the samples."""
+    if not 0 <= position <= samples - 1:
+        return 0, np.float32(0), np.float32(0)
+    index = min(int(position), samples - 2)
+    weight = np.float32(position - index)
+    return index, np.float32(1) - weight, weight
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _backproject_tilted(
+    filtered: Float32Array,
+    cosine: FloatArray,
+    sine: FloatArray,
+    first_s: float,
+    spacing: float,
+    tilt: FloatArray,
+    heights: FloatArray,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    z_mm: FloatArray,
+    total: Float32Array,
+) -> None:
+    angles, samples, _ = filtered.shape
+    height_spacing = heights[1] - heights[0]
+    last = len(heights) - 2
+    for iy in prange(len(y_mm)):
+        for a in range(angles):
+            for ix in range(len(x_mm)):
+                x, y = x_mm[ix], y_mm[iy]
+                i, v, w = _tap((x * cosine[a] - y * sine[a] - first_s) / spacing, samples)
+                # z = z_mid (1 + along * tilt), as the rise of a ray is proportional to its mid-height.
+                along = x * sine[a] + y * cosine[a]
+                shrink = 1 / (1 + along * (v * tilt[i] + w * tilt[i + 1]))
+                step = (z_mm[1] - z_mm[0]) * shrink / height_spacing if len(z_mm) > 1 else 0.0
+                start = (z_mm[0] * shrink - heights[0]) / height_spacing
+                for z in range(len(z_mm)):
+                    position = start + z * step
+                    j = min(max(int(position), 0), last)
+                    q = np.float32(min(max(position - j, 0.0), 1.0))
+                    p = np.float32(1) - q
+                    total[iy, ix, z] += v * (p * filtered[a, i, j] + q * filtered[a, i, j + 1]) + w * (
+                        p * filtered[a, i + 1, j] + q * filtered[a, i + 1, j + 1]
+                    )

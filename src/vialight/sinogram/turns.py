@@ -1,0 +1,81 @@
+"""Which frames make a turn, and whether their angles support an answer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vialight.arrays import FloatArray, IntArray
+from vialight.errors import InputError
+
+TURN_RAD = 2 * np.pi
+
+WIDEST_GAP_RAD = np.radians(30.0)
+"""Across more than this the opposite views, which tilt the other way, would stand alone for too much of the volume."""
+
+
+def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
+    """Return the frames of one turn.
+
+    Parameters
+    ----------
+    angles_rad
+        (frame,) stage angles, rising or falling, cumulative or wrapped at a full turn.
+    turn
+        1 is the turn that begins with the first frame; None the last full one, or all frames if there is none.
+
+    Returns
+    -------
+    numpy.ndarray
+        Indices of frames, in the order of recording.
+
+    Raises
+    ------
+    InputError
+        There is no such turn.
+    """
+    travelled = np.abs(np.unwrap(angles_rad) - angles_rad[0])
+    half_step = nominal_step(travelled) / 2
+    turns = int((travelled.max() + 2 * half_step) / TURN_RAD + 1e-6)
+    if turn is None:
+        turn = max(turns, 1)
+    elif not 1 <= turn <= max(turns, 1):
+        degrees = np.degrees(travelled.max())
+        raise InputError("--turn", f"is {turn}, the frames span {degrees:.1f} deg", accepted=f"1 to {max(turns, 1)}")
+    start = (turn - 1) * TURN_RAD - half_step
+    chosen = np.flatnonzero((travelled >= start) & (travelled < start + TURN_RAD))
+    return np.asarray(chosen, dtype=np.int64)
+
+
+def nominal_step(angles_rad: FloatArray) -> float:
+    """Return the median step between neighbouring, different angles."""
+    steps = np.abs(np.diff(angles_rad))
+    steps = steps[steps > 1e-9]
+    if not len(steps):
+        raise InputError("/exchange/theta", "all angles are the same", accepted="angles of a turning object")
+    return float(np.median(steps))
+
+
+def sorted_turn(angles_rad: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Sort frames by angle within the turn; of frames at one angle the last stays."""
+    wrapped = np.mod(angles_rad, TURN_RAD)
+    order = np.argsort(wrapped, kind="stable")
+    apart = np.diff(wrapped[order], append=TURN_RAD + 1.0) > 1e-6
+    order = order[apart]
+    return np.asarray(order, dtype=np.int64), wrapped[order]
+
+
+def check_gaps(angles: FloatArray, half_turn_suffices: bool) -> None:
+    """Refuse a turn in which frames are missing over too wide an angle."""
+    gaps = np.diff(angles, append=angles[0] + TURN_RAD)
+    widest = int(gaps.argmax())
+    gap, start = np.degrees(gaps[widest]), np.degrees(angles[widest])
+    # Parallel rays are the same from both sides: half a turn is enough.
+    if half_turn_suffices and gap <= 180 + 2 * np.degrees(nominal_step(angles)):
+        return
+    if gaps[widest] > WIDEST_GAP_RAD:
+        raise InputError(
+            "/exchange/theta", f"no frames for {gap:.1f} deg after {start:.1f} deg",
+            accepted=f"gaps of up to {np.degrees(WIDEST_GAP_RAD):.0f} deg in a turn"
+            if not half_turn_suffices else "half a turn or more",
+            remedy="choose another --turn, or record a full turn",
+        )  # fmt: skip
