@@ -96,6 +96,11 @@ class Camera(_Table):
     axis_column: Finite
     optical_row: Finite
 
+    def binned(self, binning: int) -> Camera:
+        """Return the camera whose pixels are squares of `binning` x `binning` of this one's."""
+        column, row = ((position + 0.5) / binning - 0.5 for position in (self.axis_column, self.optical_row))
+        return self.model_copy(update={"pixel_mm": self.pixel_mm * binning, "axis_column": column, "optical_row": row})
+
 
 class Projector(_Table):
     """The projector: a camera run backwards; azimuth is that of its pupil about the axis, 0 at the camera."""

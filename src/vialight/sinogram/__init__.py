@@ -9,8 +9,17 @@ ray are read off, and the frames are interpolated there.
 """
 
 from vialight.sinogram.background import attenuation, bin_frames
-from vialight.sinogram.geometry import heights_seen, parallel_beam, rows_seen
+from vialight.sinogram.geometry import heights_seen, parallel_beam, ray_tilt, rows_seen
 from vialight.sinogram.resampling import resample
 from vialight.sinogram.turns import select_turn
 
-__all__ = ["attenuation", "bin_frames", "heights_seen", "parallel_beam", "resample", "rows_seen", "select_turn"]
+__all__ = [
+    "attenuation",
+    "bin_frames",
+    "heights_seen",
+    "parallel_beam",
+    "ray_tilt",
+    "resample",
+    "rows_seen",
+    "select_turn",
+]

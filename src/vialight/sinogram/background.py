@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from vialight.arrays import Float32Array, FloatArray
+import numpy as np
+from numpy.typing import NDArray
+
+from vialight.arrays import Float32Array
 from vialight.errors import InputError
 
 
-def bin_frames(counts: FloatArray | Float32Array, binning: int) -> Float32Array:
+def bin_frames(counts: NDArray[Any], binning: int) -> Float32Array:
     """Sum squares of `binning` x `binning` pixels; rows and columns that do not fill one are left off.
 
     Parameters
@@ -26,7 +29,7 @@ def bin_frames(counts: FloatArray | Float32Array, binning: int) -> Float32Array:
     return np.asarray(blocks.sum(axis=(-3, -1)), dtype=np.float32)
 
 
-def attenuation(counts: Float32Array, white: FloatArray, dark: FloatArray | None) -> Float32Array:
+def attenuation(counts: Float32Array, white: Float32Array, dark: Float32Array | None) -> Float32Array:
     """Return minus the logarithm of transmission, for instruments that look through the object.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Reading rays off the frames: cubic B-splines along rows, cubic convolution along columns, cubic polynomials in angle."""
+"""Reading rays off frames: cubic B-splines along rows, cubic convolution along columns, cubic polynomials in angle."""
 
 from __future__ import annotations
 
