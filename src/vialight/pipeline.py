@@ -227,7 +227,7 @@ def _heights_of_climbing_rays(z_mm: FloatArray, voxel_mm: float, largest_climb: 
     """Return the mid-heights of all rays that pass a stack of slices, at half the voxel for z is interpolated again."""
     spacing = voxel_mm / 2
     margin = int(np.ceil(np.abs(z_mm).max() * largest_climb / spacing)) + 2
-    return z_mm[0] + np.arange(-margin, 2 * len(z_mm) - 1 + margin, dtype=np.float64) * spacing
+    return np.asarray(z_mm[0] + np.arange(-margin, 2 * len(z_mm) - 1 + margin) * spacing, dtype=np.float64)
 
 
 RowReader = Callable[[slice], Float32Array]
