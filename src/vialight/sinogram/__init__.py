@@ -9,7 +9,7 @@ ray are read off, and the frames are interpolated there.
 """
 
 from vialight.sinogram.background import attenuation, bin_frames
-from vialight.sinogram.geometry import heights_seen, parallel_beam, ray_tilt, rows_seen
+from vialight.sinogram.geometry import heights_seen, parallel_beam, ray_tilt, rows_seen, vial_edge_columns
 from vialight.sinogram.resampling import resample
 from vialight.sinogram.turns import select_turn
 
@@ -22,4 +22,5 @@ __all__ = [
     "resample",
     "rows_seen",
     "select_turn",
+    "vial_edge_columns",
 ]

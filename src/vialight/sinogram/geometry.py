@@ -55,11 +55,16 @@ def parallel_beam(angles_rad: FloatArray, columns: int, camera: Camera, optics: 
     return ParallelBeam(psi, centred(2 * int(np.ceil(optics.field_radius_mm / spacing)), spacing))
 
 
-def _check_vial_in_image(columns: int, camera: Camera, optics: Optics) -> None:
-    """Refuse an image that neither on the left nor on the right reaches to the edge of the field."""
+def vial_edge_columns(camera: Camera, optics: Optics) -> tuple[float, float]:
+    """Return the columns of the outermost rays that reach the resin: the vial's edges in the image."""
     edge_mm, _ = virtual_to_camera(EDGE_MARGIN * optics.field_radius_mm, 0.0, optics)
     edge = float(edge_mm) / camera.pixel_mm
-    first, last = camera.axis_column - edge, camera.axis_column + edge
+    return camera.axis_column - edge, camera.axis_column + edge
+
+
+def _check_vial_in_image(columns: int, camera: Camera, optics: Optics) -> None:
+    """Refuse an image that neither on the left nor on the right reaches to the edge of the field."""
+    first, last = vial_edge_columns(camera, optics)
     if first < -0.5 and last > columns - 0.5:
         raise InputError(
             "[vial]", f"the vial spans columns {first:.1f} to {last:.1f}, the image has 0 to {columns - 1}",
