@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ class Mesh:
         """(m, 3) outward unit normals; zero for a face without area."""
         vectors = self.area_vectors_mm2
         lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-        return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+        return np.asarray(np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0))
 
     @property
     def area_mm2(self) -> float:
@@ -83,7 +84,7 @@ class Mesh:
         a, b, c = np.moveaxis(self.corners_mm - self.bounds_mm.mean(axis=0), 1, 0)
         return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)) / 6)
 
-    @property
+    @cached_property
     def volume_mm3(self) -> float:
         """Enclosed volume, negative where the mesh is inside out; means nothing unless `is_watertight`."""
         return float(self.face_volumes_mm3.sum())
@@ -100,7 +101,7 @@ class Mesh:
         low, high = self.bounds_mm
         return np.asarray(high - low)
 
-    @property
+    @cached_property
     def is_watertight(self) -> bool:
         """Whether the faces bound something: every edge is walked as often one way as the other.
 
