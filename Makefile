@@ -1,0 +1,53 @@
+# make demo   set up, then reconstruct and measure the sample print
+# make test   set up, then run every check
+PYTHON ?= python3
+BIN := .venv/bin
+# Software rendering for the report's pictures, with no screen.
+SYSTEM_PACKAGES := libegl1 libgl1-mesa-dri libosmesa6
+
+.PHONY: demo test setup system lint check format benchmark lock clean
+
+demo: setup
+	$(BIN)/vialight demo --out demo
+
+test: setup lint check
+
+setup: system .venv/ready
+
+system:
+	@tools/install-system-packages $(SYSTEM_PACKAGES)
+
+.venv/ready: requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("vialight needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	touch $@
+
+lint: setup
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+check: setup
+	$(BIN)/pytest
+
+format: setup
+	$(BIN)/ruff format
+	$(BIN)/ruff check --fix
+
+# The peers have a lock and an environment of their own: nothing of vialight needs them.
+benchmark: setup
+	$(PYTHON) -m venv .venv-benchmark
+	.venv-benchmark/bin/pip install --quiet --require-hashes -r requirements-benchmark.lock
+	.venv-benchmark/bin/pip install --quiet --no-build-isolation --no-deps -e .
+	.venv-benchmark/bin/python benchmarks/reconstruction.py --markdown docs/benchmarks.md
+
+# Needs uv; run it after changing the dependencies in pyproject.toml.
+lock:
+	uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
+		--group test pyproject.toml -o requirements.lock
+
+clean:
+	rm -rf .venv .venv-benchmark demo .mypy_cache .pytest_cache .ruff_cache .hypothesis

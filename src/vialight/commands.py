@@ -1,0 +1,268 @@
+"""What each command does, files in and files out; the command line only parses.
+
+Every function returns what it wrote as JSON, and writes all of its products or none.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from vialight import __version__
+from vialight.config import Rig, load_rig
+from vialight.diagnostics import Picture, optics_pictures
+from vialight.errors import InputError
+from vialight.mesh import Mesh, load_mesh
+from vialight.pipeline import Progress, Scan, Settings, open_scan, reconstruct
+from vialight.store import (
+    open_frames,
+    read_json,
+    sha256_of,
+    staged_folder,
+    write_json,
+    write_ply,
+    write_stl,
+    write_volume,
+)
+from vialight.surface import isosurface, pieces
+
+if TYPE_CHECKING:
+    from vialight.arrays import Volume
+    from vialight.metrology import Comparison
+
+RECONSTRUCTION = "reconstruction.json"
+SURFACE = "surface.stl"
+VOLUME = "volume.zarr"
+PICTURES = "pictures"
+METRICS = "metrics.json"
+REPORT = "report.html"
+
+_NAMED_VERSIONS = ("numpy", "numba", "scipy", "libigl", "small-gicp", "vtk", "zarr", "h5py")
+
+
+def reconstruct_recording(
+    frames_path: str | Path,
+    rig_path: str | Path,
+    out: str | Path,
+    *,
+    settings: Settings | None = None,
+    threshold: float | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Reconstruct a recording and draw its surface.
+
+    Parameters
+    ----------
+    frames_path
+        Data Exchange HDF5.
+    rig_path
+        Rig, TOML.
+    out
+        Folder for ``volume.zarr``, ``surface.stl`` (where there is a threshold), ``pictures/`` and
+        ``reconstruction.json``.
+    settings
+        How to reconstruct.
+    threshold
+        Gelation threshold I_p, counts per mm of (binned) pixels; by default the rig's.
+    progress
+        Called with slices done and to do.
+
+    Returns
+    -------
+    dict
+        What ``reconstruction.json`` holds.
+
+    Raises
+    ------
+    InputError
+        Frames or rig cannot be used, or `out` cannot be written.
+    """
+    started = time.monotonic()
+    settings = settings or Settings()
+    rig = load_rig(rig_path)
+    threshold = _threshold(rig, settings, threshold)
+    with staged_folder(out) as folder, open_frames(frames_path) as frames:
+        scan = open_scan(frames, rig, settings)
+        volume = reconstruct(scan, settings, progress=progress)
+        surface = None if threshold is None else isosurface(volume, threshold)
+        pictures = optics_pictures(scan, volume, threshold, surface)
+        unit = "1/mm" if frames.is_transmission else "counts per mm"
+        write_volume(folder / VOLUME, volume, {"threshold": threshold, "unit": unit})
+        if surface is not None:
+            write_stl(folder / SURFACE, surface)
+        _write_pictures(folder / PICTURES, pictures)
+        result = {
+            "inputs": _inputs(frames=frames_path, rig=rig_path),
+            "rig": rig.model_dump(mode="json", by_alias=True, exclude_none=True),
+            "settings": _settings_json(settings, scan, volume, threshold),
+            "volume": _volume_json(volume, unit),
+            "surface": None if surface is None else _surface_json(surface),
+            "pictures": [
+                {"file": f"{PICTURES}/{picture.name}.png", "title": picture.title, "caption": picture.caption}
+                for picture in pictures
+            ],
+            "versions": versions(),
+            "elapsed_s": round(time.monotonic() - started, 3),
+        }
+        write_json(folder / RECONSTRUCTION, result)
+    return result
+
+
+def measure_surface(
+    measured_path: str | Path,
+    reference_path: str | Path,
+    out: str | Path,
+    *,
+    align: Literal["rigid", "none"] = "rigid",
+    tolerance_mm: float | None = None,
+) -> dict[str, Any]:
+    """Measure a surface against its reference and write the report.
+
+    Parameters
+    ----------
+    measured_path
+        A mesh, or the folder of a reconstruction, whose pictures then go into the report.
+    reference_path
+        The mesh that was meant.
+    out
+        Folder for ``metrics.json``, ``deviation.ply`` and ``report.html``.
+    align, tolerance_mm
+        See `vialight.metrology.compare`.
+
+    Returns
+    -------
+    dict
+        What ``metrics.json`` holds.
+
+    Raises
+    ------
+    InputError
+        A mesh cannot be used, or `out` cannot be written.
+    """
+    from vialight.metrology import compare
+
+    measured_path, reference_path = Path(measured_path), Path(reference_path)
+    surface_path = _surface_of(measured_path)
+    measured, reference = load_mesh(surface_path), load_mesh(reference_path)
+    comparison = compare(measured, reference, align=align, tolerance_mm=tolerance_mm)
+    result = {
+        "inputs": _inputs(print=surface_path, reference=reference_path),
+        "settings": {"align": align, "tolerance_mm": tolerance_mm},
+        **comparison.to_json(),
+        "versions": versions(),
+    }
+    with staged_folder(out) as folder:
+        write_json(folder / METRICS, result)
+        _write_deviation(folder / "deviation.ply", comparison)
+        _write_report(folder / REPORT, comparison, result, measured_path)
+    return result
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of vialight, Python and the parts that numbers depend on."""
+    return {"vialight": __version__, "python": platform.python_version()} | {
+        name: version(name) for name in _NAMED_VERSIONS
+    }
+
+
+def _threshold(rig: Rig, settings: Settings, threshold: float | None) -> float | None:
+    if threshold is not None:
+        if not np.isfinite(threshold):
+            raise InputError("--threshold", f"is {threshold}", accepted="a finite density, counts per mm")
+        return threshold
+    conditions = rig.resin.threshold_conditions
+    if (
+        rig.resin.threshold is not None
+        and conditions is not None
+        and conditions.binning not in (None, settings.binning)
+    ):
+        raise InputError(
+            f"{rig.source} [resin]", f"threshold belongs to binning {conditions.binning}, not {settings.binning}",
+            accepted="the same binning", remedy="give --threshold for this binning",
+        )  # fmt: skip
+    return rig.resin.threshold
+
+
+def _inputs(**paths: str | Path) -> dict[str, dict[str, str]]:
+    return {role: {"file": Path(path).name, "sha256": sha256_of(path)} for role, path in paths.items()}
+
+
+def _settings_json(settings: Settings, scan: Scan, volume: Volume, threshold: float | None) -> dict[str, Any]:
+    return {
+        "threshold_counts_per_mm": threshold,
+        "voxel_mm": volume.grid.voxel_mm,
+        "binning": settings.binning,
+        "turn": settings.turn,
+        "frames_used": len(scan.chosen),
+        "first_frame": int(scan.chosen[0]),
+        "last_frame": int(scan.chosen[-1]),
+        "filter": settings.filter_name,
+        "accurate": settings.accurate,
+        "background": "data_white and data_dark" if scan.frames.is_transmission
+        else "data_dark" if scan.frames.dark(slice(0, 1)) is not None else "none recorded",
+    }  # fmt: skip
+
+
+def _volume_json(volume: Volume, unit: str) -> dict[str, Any]:
+    low, high = float(volume.density.min()), float(volume.density.max())
+    return {
+        "file": VOLUME,
+        "unit": unit,
+        "shape_zyx": list(volume.grid.shape),
+        "origin_zyx_mm": list(volume.grid.origin_mm),
+        "density_min": low,
+        "density_max": high,
+    }
+
+
+def _surface_json(surface: Mesh) -> dict[str, Any]:
+    return {
+        "file": SURFACE,
+        "vertices": len(surface.vertices_mm),
+        "faces": len(surface.faces),
+        "volume_mm3": surface.volume_mm3,
+        "area_mm2": surface.area_mm2,
+        "bounds_mm": surface.bounds_mm.tolist(),
+        "pieces_mm3": pieces(surface)[:20].tolist(),
+    }
+
+
+def _write_pictures(folder: Path, pictures: Sequence[Picture]) -> None:
+    folder.mkdir()
+    for picture in pictures:
+        (folder / f"{picture.name}.png").write_bytes(picture.png)
+
+
+def _surface_of(path: Path) -> Path:
+    if not path.is_dir():
+        return path
+    if not (path / SURFACE).is_file():
+        raise InputError(
+            path, f"has no {SURFACE}", accepted="a mesh, or the folder of a reconstruction with a threshold",
+            remedy="reconstruct with --threshold",
+        )  # fmt: skip
+    return path / SURFACE
+
+
+def _write_deviation(path: Path, comparison: Comparison) -> None:
+    from vialight.report import colour_limit_mm, deviation_colours
+
+    limit_mm = colour_limit_mm(comparison)
+    colours = deviation_colours(comparison.deviation_mm, limit_mm)
+    write_ply(path, comparison.measured, {"deviation_mm": comparison.deviation_mm}, colours)
+
+
+def _read_pictures(folder: Path) -> list[Picture]:
+    if not (folder / RECONSTRUCTION).is_file():
+        return []
+    pictures = read_json(folder / RECONSTRUCTION).get("pictures", [])
+    return [
+        Picture(Path(entry["file"]).stem, entry["title"], entry["caption"], (folder / entry["file"]).read_bytes())
+        for entry in pictures
+    ]
