@@ -17,11 +17,15 @@ from vialight.errors import InputError
 
 _TURNING_SENSES = {"counter-clockwise": 1, "counterclockwise": 1, "ccw": 1, "clockwise": -1, "cw": -1}
 
-Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Index = Annotated[float, Field(ge=1, lt=4)]
-Distance = Annotated[float, Field(gt=0)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Direction = Annotated[Literal[1, -1], BeforeValidator(lambda value: _TURNING_SENSES.get(value, value))]
+Length = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+Index = Annotated[float, Field(ge=1, lt=4, strict=True)]
+Distance = Annotated[float, Field(gt=0, strict=True)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Direction = Annotated[
+    Literal[1, -1],
+    BeforeValidator(lambda value: _TURNING_SENSES.get(value, value) if isinstance(value, str) else value),
+]
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Vial(_Table):
     """The glass: outer radius, wall and its index; ``wall_mm = 0`` means no glass."""
 
     outer_radius_mm: Length
-    wall_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    wall_mm: NotNegative = 0.0
     wall_index: Index = 1.5
 
     @model_validator(mode="after")
@@ -83,7 +87,7 @@ class Resin(_Table):
     name: str = ""
     index_imaging: Index | None = None
     index_writing: Index | None = None
-    absorption_per_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    absorption_per_mm: NotNegative | None = None
     threshold: Length | None = None
     threshold_conditions: ThresholdConditions | None = None
 
@@ -213,20 +217,35 @@ def _explain(path: Path, error: ValidationError) -> InputError:
     fault = error.errors()[0]
     *tables, key = [str(part) for part in fault["loc"]] or ["rig"]
     where = f"{path} [{'.'.join(tables)}]" if tables else str(path)
-    model = Rig if not tables else Rig.model_fields[tables[0]].annotation
+    model: object = Rig
+    for table in tables:
+        model = _field(model, table)
     if fault["type"] == "extra_forbidden":
         names = ", ".join(_keys(model))
         return InputError(where, f"unknown key {key}", accepted=names, remedy="correct or remove it")
     if fault["type"] == "missing":
         return InputError(where, f"key {key} is missing", accepted=", ".join(_keys(model)), remedy="add it")
+    if fault["type"] == "model_type":
+        return InputError(
+            where, f"{key} is {fault['input']!r}", accepted=f"a table of {', '.join(_keys(_field(model, key)))}"
+        )
     value = fault["input"]
     return InputError(
         where, f"{key} is {value!r}", accepted=fault["msg"].removeprefix("Input should be "), remedy="correct it"
     )
 
 
+def _field(model: object, key: str) -> object:
+    return _model(model).model_fields[key].annotation
+
+
 def _keys(model: object) -> list[str]:
-    for candidate in (model, *getattr(model, "__args__", ())):
+    return [field.alias or name for name, field in _model(model).model_fields.items() if name != "source"]
+
+
+def _model(annotation: object) -> type[BaseModel]:
+    """Return the table that an annotation such as ``Vial | None`` allows."""
+    for candidate in (annotation, *getattr(annotation, "__args__", ())):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return [field.alias or name for name, field in candidate.model_fields.items() if name != "source"]
-    return []
+            return candidate
+    raise TypeError(annotation)
