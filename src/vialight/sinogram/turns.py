@@ -12,6 +12,11 @@ TURN_RAD = 2 * np.pi
 WIDEST_GAP_RAD = np.radians(30.0)
 """Across more than this the opposite views, which tilt the other way, would stand alone for too much of the volume."""
 
+_SAME_ANGLE_RAD = 1e-6
+
+_SHORT_END_STEPS, _SHORT_END_RAD = 3, np.radians(15.0)
+"""A turn is full though it ends this much early: frames may be missing there as anywhere."""
+
 
 def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
     """Return the frames of one turn.
@@ -34,14 +39,15 @@ def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
         There is no such turn.
     """
     travelled = np.abs(np.unwrap(angles_rad) - angles_rad[0])
-    half_step = nominal_step(travelled) / 2
-    turns = int((travelled.max() + 2 * half_step) / TURN_RAD + 1e-6)
+    step = nominal_step(travelled)
+    end = travelled.max() + max(step, min(_SHORT_END_STEPS * step, _SHORT_END_RAD))
+    turns = int(end / TURN_RAD + 1e-6)
     if turn is None:
         turn = max(turns, 1)
     elif not 1 <= turn <= max(turns, 1):
         degrees = np.degrees(travelled.max())
         raise InputError("--turn", f"is {turn}, the frames span {degrees:.1f} deg", accepted=f"1 to {max(turns, 1)}")
-    start = (turn - 1) * TURN_RAD - half_step
+    start = (turn - 1) * TURN_RAD - step / 2
     chosen = np.flatnonzero((travelled >= start) & (travelled < start + TURN_RAD))
     return np.asarray(chosen, dtype=np.int64)
 
@@ -58,8 +64,9 @@ def nominal_step(angles_rad: FloatArray) -> float:
 def sorted_turn(angles_rad: FloatArray) -> tuple[IntArray, FloatArray]:
     """Sort frames by angle within the turn; of frames at one angle the last stays."""
     wrapped = np.mod(angles_rad, TURN_RAD)
+    wrapped[wrapped > TURN_RAD - _SAME_ANGLE_RAD] = 0.0
     order = np.argsort(wrapped, kind="stable")
-    apart = np.diff(wrapped[order], append=TURN_RAD + 1.0) > 1e-6
+    apart = np.diff(wrapped[order], append=np.inf) > _SAME_ANGLE_RAD
     order = order[apart]
     return np.asarray(order, dtype=np.int64), wrapped[order]
 
@@ -72,7 +79,7 @@ def check_gaps(angles: FloatArray, half_turn_suffices: bool) -> None:
     # Parallel rays are the same from both sides: half a turn is enough.
     if half_turn_suffices and gap <= 180 + 2 * np.degrees(nominal_step(angles)):
         return
-    if gaps[widest] > WIDEST_GAP_RAD:
+    if gaps[widest] > WIDEST_GAP_RAD + _SAME_ANGLE_RAD:
         raise InputError(
             "/exchange/theta", f"no frames for {gap:.1f} deg after {start:.1f} deg",
             accepted=f"gaps of up to {np.degrees(WIDEST_GAP_RAD):.0f} deg in a turn"
