@@ -160,7 +160,7 @@ def measure_surface(
     with staged_folder(out) as folder:
         write_json(folder / METRICS, result)
         _write_deviation(folder / "deviation.ply", comparison)
-        _write_report(folder / REPORT, comparison, result, measured_path)
+        _write_report(folder / REPORT, comparison, result, _read_pictures(measured_path))
     return result
 
 
@@ -256,6 +256,13 @@ def _write_deviation(path: Path, comparison: Comparison) -> None:
     limit_mm = colour_limit_mm(comparison)
     colours = deviation_colours(comparison.deviation_mm, limit_mm)
     write_ply(path, comparison.measured, {"deviation_mm": comparison.deviation_mm}, colours)
+
+
+def _write_report(path: Path, comparison: Comparison, result: dict[str, Any], pictures: Sequence[Picture]) -> None:
+    from vialight.report import Provenance, write_report
+
+    provenance = Provenance(inputs=result["inputs"], settings=result["settings"], versions=result["versions"])
+    write_report(path, comparison, provenance=provenance, figures=pictures)
 
 
 def _read_pictures(folder: Path) -> list[Picture]:

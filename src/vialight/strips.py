@@ -1,0 +1,291 @@
+"""A matched pair of projector and backprojector for printing: light in strips, dose in square voxels.
+
+A sample of a projection is a strip of light, `spacing` wide and of even irradiance; a voxel's dose is the mean over its
+square.  The weight between them is the share of the square that the strip covers: the integral, over the strip, of the
+square's shadow, which is a trapezoid.  Backprojection is therefore exact for strips, projection is its exact transpose,
+and neither aliases, as both integrate over areas instead of reading at points.
+
+With absorption, light loses ``exp(-mu t)`` along the ray (the exponential Radon transform); ``t`` is counted from the
+point closest to the axis, away from the projector, so that weights are 1 on the axis.
+
+Arrays keep z innermost: (psi, s, z) and (y, x, z).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+
+from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+
+_TILE = 32
+
+
+@dataclass(frozen=True)
+class StripGeometry:
+    """Where strips and voxels lie.
+
+    Parameters
+    ----------
+    psi_rad
+        (psi,) angles of the projections.
+    first_s_mm, spacing_mm, samples
+        Centre of the first strip, width of a strip, number of strips.
+    x_mm, y_mm
+        Voxel centres, evenly spaced, with the same pitch along both.
+    absorption_per_mm
+        Napierian absorption coefficient mu; 0 for none.
+    tilt_per_mm, z_mm
+        For rays that climb: (s,) rise per mm of plan view and per mm of mid-height, and (z,) evenly spaced heights of
+        the slices, which are the strips' mid-heights too.  None for rays that stay in their slice.
+    """
+
+    psi_rad: FloatArray
+    first_s_mm: float
+    spacing_mm: float
+    samples: int
+    x_mm: FloatArray
+    y_mm: FloatArray
+    absorption_per_mm: float = 0.0
+    tilt_per_mm: FloatArray | None = None
+    z_mm: FloatArray | None = None
+
+    @property
+    def voxel_mm(self) -> float:
+        """Edge of a voxel."""
+        return float(self.x_mm[1] - self.x_mm[0])
+
+
+def backproject_strips(projections: Float32Array, geometry: StripGeometry) -> Float32Array:
+    """Sum the light that reaches each voxel over all angles.
+
+    Parameters
+    ----------
+    projections
+        (psi, s, z) float32, irradiance of the strips where they pass closest to the axis.
+    geometry
+        Of strips and voxels; what lies outside the strips counts as dark.
+
+    Returns
+    -------
+    numpy.ndarray
+        (y, x, z) float32.
+    """
+    dose = np.zeros((len(geometry.y_mm), len(geometry.x_mm), projections.shape[2]), np.float32)
+    if geometry.tilt_per_mm is None:
+        _backproject(np.ascontiguousarray(projections), *_plain(geometry), dose)
+    else:
+        _backproject_tilted(np.ascontiguousarray(projections), *_plain(geometry), *_climb(geometry), dose)
+    return dose
+
+
+def project_strips(volume: Float32Array, geometry: StripGeometry) -> Float32Array:
+    """Sum each strip's voxels: the transpose of `backproject_strips`.
+
+    Parameters
+    ----------
+    volume
+        (y, x, z) float32.
+    geometry
+        Of strips and voxels.
+
+    Returns
+    -------
+    numpy.ndarray
+        (psi, s, z) float32: for voxels as wide as strips, the integral along the ray in voxels.
+    """
+    projections = np.zeros((len(geometry.psi_rad), geometry.samples, volume.shape[2]), np.float32)
+    if geometry.tilt_per_mm is None:
+        _project(np.ascontiguousarray(volume), *_plain(geometry), projections)
+    else:
+        _project_tilted(np.ascontiguousarray(volume), *_plain(geometry), *_climb(geometry), projections)
+    return projections
+
+
+def _plain(geometry: StripGeometry) -> tuple[FloatArray, FloatArray, float, float, FloatArray, FloatArray, float]:
+    """Return what the kernels take, in strip widths."""
+    width = geometry.spacing_mm
+    return (
+        np.cos(geometry.psi_rad), np.sin(geometry.psi_rad), geometry.first_s_mm / width, geometry.voxel_mm / width,
+        geometry.x_mm / width, geometry.y_mm / width, geometry.absorption_per_mm * width,
+    )  # fmt: skip
+
+
+def _climb(geometry: StripGeometry) -> tuple[FloatArray, float]:
+    """Return, in strip widths and slices, the tilt of each strip, and the height of the first slice."""
+    assert geometry.tilt_per_mm is not None
+    assert geometry.z_mm is not None
+    slice_mm = float(geometry.z_mm[1] - geometry.z_mm[0]) if len(geometry.z_mm) > 1 else geometry.voxel_mm
+    return geometry.tilt_per_mm * geometry.spacing_mm, float(geometry.z_mm[0]) / slice_mm
+
+
+@njit(inline="always")
+def _shadow_before(u: float, half_top: float, half_base: float) -> float:
+    """Share of a unit-area trapezoid that lies below u; the trapezoid is the shadow of a square."""
+    if u <= -half_base:
+        return 0.0
+    if u >= half_base:
+        return 1.0
+    height = 1.0 / (half_top + half_base)
+    if u < -half_top:
+        return 0.5 * height * (u + half_base) ** 2 / (half_base - half_top)
+    if u <= half_top:
+        return 0.5 * height * (half_base - half_top) + height * (u + half_top)
+    return 1.0 - 0.5 * height * (half_base - u) ** 2 / (half_base - half_top)
+
+
+@njit(inline="always")
+def _shadow(
+    x: float, y: float, cosine: float, sine: float, first: float, voxel: float
+) -> tuple[float, float, float, int, int]:
+    """Return the shadow's middle, half its top, half its base, and the first and the last strip that it falls on."""
+    wide, narrow = abs(cosine) + abs(sine), abs(abs(cosine) - abs(sine))
+    half_top, half_base = 0.5 * voxel * narrow, max(0.5 * voxel * wide, 0.5 * voxel * narrow + 1e-9)
+    middle = x * cosine - y * sine - first
+    return (
+        middle, half_top, half_base, int(np.floor(middle - half_base + 0.5)), int(np.floor(middle + half_base + 0.5)),
+    )  # fmt: skip
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _backproject(
+    projections: Float32Array,
+    cosine: FloatArray,
+    sine: FloatArray,
+    first: float,
+    voxel: float,
+    xs: FloatArray,
+    ys: FloatArray,
+    absorption: float,
+    dose: Float32Array,
+) -> None:
+    angles, samples, depth = projections.shape
+    tiles_x, tiles_y = (len(xs) + _TILE - 1) // _TILE, (len(ys) + _TILE - 1) // _TILE
+    for tile in prange(tiles_x * tiles_y):
+        y_start, x_start = tile // tiles_x * _TILE, tile % tiles_x * _TILE
+        for a in range(angles):
+            for iy in range(y_start, min(y_start + _TILE, len(ys))):
+                for ix in range(x_start, min(x_start + _TILE, len(xs))):
+                    x, y = xs[ix], ys[iy]
+                    middle, half_top, half_base, start, end = _shadow(x, y, cosine[a], sine[a], first, voxel)
+                    loss = np.exp(-absorption * (x * sine[a] + y * cosine[a]))
+                    before = 0.0
+                    for i in range(start, end + 1):
+                        until = _shadow_before(i + 0.5 - middle, half_top, half_base)
+                        weight = np.float32((until - before) * loss)
+                        before = until
+                        if 0 <= i < samples:
+                            for z in range(depth):
+                                dose[iy, ix, z] += weight * projections[a, i, z]
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _project(
+    volume: Float32Array,
+    cosine: FloatArray,
+    sine: FloatArray,
+    first: float,
+    voxel: float,
+    xs: FloatArray,
+    ys: FloatArray,
+    absorption: float,
+    projections: Float32Array,
+) -> None:
+    angles, samples, depth = projections.shape
+    for a in prange(angles):
+        for iy in range(len(ys)):
+            for ix in range(len(xs)):
+                x, y = xs[ix], ys[iy]
+                middle, half_top, half_base, start, end = _shadow(x, y, cosine[a], sine[a], first, voxel)
+                loss = np.exp(-absorption * (x * sine[a] + y * cosine[a]))
+                before = 0.0
+                for i in range(start, end + 1):
+                    until = _shadow_before(i + 0.5 - middle, half_top, half_base)
+                    weight = np.float32((until - before) * loss)
+                    before = until
+                    if 0 <= i < samples:
+                        for z in range(depth):
+                            projections[a, i, z] += weight * volume[iy, ix, z]
+
+
+@njit(inline="always")
+def _mid_slice(z: int, first_height: float, shrink: float, depth: int) -> tuple[int, np.float32, np.float32]:
+    """Return the slice below the mid-height of the ray through slice z, and the weights of it and the next."""
+    position = (z + first_height) * shrink - first_height
+    position = min(max(position, 0.0), depth - 1.0)
+    below = min(int(position), max(depth - 2, 0))
+    share = np.float32(position - below)
+    return below, np.float32(1) - share, share
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _backproject_tilted(
+    projections: Float32Array,
+    cosine: FloatArray,
+    sine: FloatArray,
+    first: float,
+    voxel: float,
+    xs: FloatArray,
+    ys: FloatArray,
+    absorption: float,
+    tilt: FloatArray,
+    first_height: float,
+    dose: Float32Array,
+) -> None:
+    angles, samples, depth = projections.shape
+    for iy in prange(len(ys)):
+        for a in range(angles):
+            for ix in range(len(xs)):
+                x, y = xs[ix], ys[iy]
+                middle, half_top, half_base, start, end = _shadow(x, y, cosine[a], sine[a], first, voxel)
+                along = x * sine[a] + y * cosine[a]
+                loss = np.exp(-absorption * along)
+                before = 0.0
+                for i in range(start, end + 1):
+                    until = _shadow_before(i + 0.5 - middle, half_top, half_base)
+                    weight = np.float32((until - before) * loss)
+                    before = until
+                    if 0 <= i < samples:
+                        shrink = 1 / (1 + along * tilt[i])
+                        for z in range(depth):
+                            j, low, high = _mid_slice(z, first_height, shrink, depth)
+                            k = min(j + 1, depth - 1)
+                            dose[iy, ix, z] += weight * (low * projections[a, i, j] + high * projections[a, i, k])
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _project_tilted(
+    volume: Float32Array,
+    cosine: FloatArray,
+    sine: FloatArray,
+    first: float,
+    voxel: float,
+    xs: FloatArray,
+    ys: FloatArray,
+    absorption: float,
+    tilt: FloatArray,
+    first_height: float,
+    projections: Float32Array,
+) -> None:
+    angles, samples, depth = projections.shape
+    for a in prange(angles):
+        for iy in range(len(ys)):
+            for ix in range(len(xs)):
+                x, y = xs[ix], ys[iy]
+                middle, half_top, half_base, start, end = _shadow(x, y, cosine[a], sine[a], first, voxel)
+                along = x * sine[a] + y * cosine[a]
+                loss = np.exp(-absorption * along)
+                before = 0.0
+                for i in range(start, end + 1):
+                    until = _shadow_before(i + 0.5 - middle, half_top, half_base)
+                    weight = np.float32((until - before) * loss)
+                    before = until
+                    if 0 <= i < samples:
+                        shrink = 1 / (1 + along * tilt[i])
+                        for z in range(depth):
+                            j, low, high = _mid_slice(z, first_height, shrink, depth)
+                            k = min(j + 1, depth - 1)
+                            projections[a, i, j] += weight * low * volume[iy, ix, z]
+                            projections[a, i, k] += weight * high * volume[iy, ix, z]
