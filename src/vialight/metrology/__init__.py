@@ -11,11 +11,12 @@
 from vialight.metrology.comparison import Agreement, Comparison, Tolerance, compare
 from vialight.metrology.cylinders import Cylinder, measure_cylinders
 from vialight.metrology.distance import Deviation, sample_surface, signed_distance, unsigned_distance
-from vialight.metrology.overlap import column_grid, intersection_over_union, thickness
+from vialight.metrology.overlap import ColumnGrid, column_grid, crossings, intersection_over_union, thickness
 from vialight.metrology.registration import Registration, register
 
 __all__ = [
     "Agreement",
+    "ColumnGrid",
     "Comparison",
     "Cylinder",
     "Deviation",
@@ -23,6 +24,7 @@ __all__ = [
     "Tolerance",
     "column_grid",
     "compare",
+    "crossings",
     "intersection_over_union",
     "measure_cylinders",
     "register",

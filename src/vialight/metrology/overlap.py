@@ -51,9 +51,9 @@ def thickness(mesh: Mesh, grid: ColumnGrid) -> FloatArray:
     numpy.ndarray
         (v, u) mm, row 0 at the lowest v.
     """
-    crossings = _crossings(mesh, grid)
+    found = crossings(mesh, grid)
     lengths = np.bincount(
-        crossings.column, weights=crossings.outward * crossings.height_mm, minlength=grid.shape[0] * grid.shape[1]
+        found.column, weights=found.outward * found.height_mm, minlength=grid.shape[0] * grid.shape[1]
     )
     return np.asarray(lengths.reshape(grid.shape))
 
@@ -79,7 +79,7 @@ def intersection_over_union(one: Mesh, other: Mesh) -> float:
     both = np.stack([one.bounds_mm, other.bounds_mm])
     bounds = np.stack([both[:, 0].min(axis=0), both[:, 1].max(axis=0)])
     grid = column_grid(bounds, axis=2, pitch_mm=float((bounds[1] - bounds[0])[:2].max()) / COLUMNS_ACROSS)
-    cuts = [_crossings(mesh, grid) for mesh in (one, other)]
+    cuts = [crossings(mesh, grid) for mesh in (one, other)]
     column = np.concatenate([cut.column for cut in cuts])
     height = np.concatenate([cut.height_mm for cut in cuts])
     order = np.lexsort((height, column))
@@ -94,15 +94,23 @@ def intersection_over_union(one: Mesh, other: Mesh) -> float:
     return float(shared / either) if either else 0.0
 
 
-class _Crossings(NamedTuple):
+class Crossings(NamedTuple):
+    """Where columns meet faces."""
+
     column: IntArray
+    """(n,) index into the flattened (v, u) grid."""
     height_mm: FloatArray
+    """(n,) coordinate along the axis."""
     outward: IntArray
-    """1 where the face looks along the axis (the column leaves the body), -1 where it looks against it."""
+    """(n,) 1 where the face looks along the axis (the column leaves the body), -1 where it looks against it."""
+    face: IntArray
+    """(n,) the face that is met."""
+    shares: FloatArray
+    """(n, 3) weights of the face's corners there; they sum to 1."""
 
 
-def _crossings(mesh: Mesh, grid: ColumnGrid) -> _Crossings:
-    """Find where columns cross faces, by scan conversion.
+def crossings(mesh: Mesh, grid: ColumnGrid) -> Crossings:
+    """Find where columns cross faces, by scan conversion, in no particular order.
 
     Each edge is evaluated from its lower-numbered vertex in both faces that share it, and intervals are half-open: so a
     column crosses exactly one of two neighbours, and a closed mesh is crossed as often inwards as outwards.
@@ -128,7 +136,8 @@ def _crossings(mesh: Mesh, grid: ColumnGrid) -> _Crossings:
     z = z_a + along_1 * (z_b - z_a) + along_2 * (z_c - z_a)
     # Rounding must not carry a crossing of a face on edge out of that face.
     z = np.clip(z, np.minimum(np.minimum(z_a, z_b), z_c), np.maximum(np.maximum(z_a, z_b), z_c))
-    return _Crossings(v * grid.shape[1] + u, z, np.sign(doubled_area[face]).astype(np.int64))
+    shares = np.stack([1 - along_1 - along_2, along_1, along_2], axis=1).clip(0, 1)
+    return Crossings(v * grid.shape[1] + u, z, np.sign(doubled_area[face]).astype(np.int64), face, shares)
 
 
 def _row_intervals(
