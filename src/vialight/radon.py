@@ -22,6 +22,9 @@ _TILE = 32
 _ANGLES_A_PASS = 6
 """Angles summed before an accumulator is written back; twelve weights just fit the registers."""
 
+_CACHE_LINE = 64
+"""Bytes.  A vector that lies across two lines takes two reads; NumPy begins large arrays 16 bytes into a line."""
+
 
 def ramp_filter(name: FilterName, count: int, spacing_mm: float) -> Float32Array:
     """Return a ramp filter as the matrix that convolves a row of samples.
@@ -97,14 +100,25 @@ def backproject(
         (y, x, z) float32: the plain sum over angles, linearly interpolated in s; what lies outside the samples counts
         as zero.
     """
-    short = -len(psi_rad) % _ANGLES_A_PASS
-    if short:
-        filtered = np.concatenate([filtered, np.zeros((short, *filtered.shape[1:]), np.float32)])
-        psi_rad = np.concatenate([psi_rad, np.zeros(short)])
-    total = np.zeros((len(y_mm), len(x_mm), filtered.shape[2]), np.float32)
+    psi_rad = np.concatenate([psi_rad, np.zeros(-len(psi_rad) % _ANGLES_A_PASS)])
     cosine, sine = np.cos(psi_rad) / spacing_mm, np.sin(psi_rad) / spacing_mm
-    _backproject(np.ascontiguousarray(filtered), cosine, sine, first_s_mm / spacing_mm, x_mm, y_mm, total)
-    return total
+    total = np.empty((filtered.shape[2], len(y_mm), len(x_mm)), np.float32)
+    _backproject(_padded(filtered), cosine, sine, first_s_mm / spacing_mm, x_mm, y_mm, total)
+    return total.transpose(1, 2, 0)
+
+
+def _padded(filtered: Float32Array) -> Float32Array:
+    """Copy (psi, s, z) to where every column of slices begins on a cache line, zeros filling the last pass and line."""
+    angles, samples, depth = filtered.shape
+    floats_a_line = _CACHE_LINE // 4
+    shape = (angles + -angles % _ANGLES_A_PASS, samples, depth + -depth % floats_a_line)
+    room = np.empty(int(np.prod(shape)) + floats_a_line, np.float32)
+    start = -room.ctypes.data % _CACHE_LINE // 4
+    padded = room[start : start + room.size - floats_a_line].reshape(shape)
+    padded[:angles, :, :depth] = filtered
+    padded[:angles, :, depth:] = 0
+    padded[angles:] = 0
+    return padded
 
 
 def backproject_tilted(
@@ -165,18 +179,23 @@ def _backproject(
     for tile in prange(tiles_x * tiles_y):
         y_start = tile // tiles_x * _TILE
         x_start = tile % tiles_x * _TILE
+        rows, columns = min(_TILE, len(y_mm) - y_start), min(_TILE, len(x_mm) - x_start)
+        sums = np.zeros((rows, columns, depth), np.float32)
+        # Index and weights of a row of pixels are found ahead of their use, many at once in a vector register.
+        at = np.empty((_ANGLES_A_PASS, columns), np.int64)
+        v, w = np.empty((_ANGLES_A_PASS, columns), np.float32), np.empty((_ANGLES_A_PASS, columns), np.float32)
         for a in range(0, angles, _ANGLES_A_PASS):
-            for iy in range(y_start, min(y_start + _TILE, len(y_mm))):
-                for ix in range(x_start, min(x_start + _TILE, len(x_mm))):
-                    x, y = x_mm[ix], y_mm[iy]
-                    i0, v0, w0 = _tap(x * cosine[a] - y * sine[a] - first, samples)
-                    i1, v1, w1 = _tap(x * cosine[a + 1] - y * sine[a + 1] - first, samples)
-                    i2, v2, w2 = _tap(x * cosine[a + 2] - y * sine[a + 2] - first, samples)
-                    i3, v3, w3 = _tap(x * cosine[a + 3] - y * sine[a + 3] - first, samples)
-                    i4, v4, w4 = _tap(x * cosine[a + 4] - y * sine[a + 4] - first, samples)
-                    i5, v5, w5 = _tap(x * cosine[a + 5] - y * sine[a + 5] - first, samples)
+            for iy in range(rows):
+                for k in range(_ANGLES_A_PASS):
+                    offset = -y_mm[y_start + iy] * sine[a + k] - first
+                    for ix in range(columns):
+                        at[k, ix], v[k, ix], w[k, ix] = _tap(x_mm[x_start + ix] * cosine[a + k] + offset, samples)
+                for ix in range(columns):
+                    i0, i1, i2, i3, i4, i5 = at[0, ix], at[1, ix], at[2, ix], at[3, ix], at[4, ix], at[5, ix]
+                    v0, v1, v2, v3, v4, v5 = v[0, ix], v[1, ix], v[2, ix], v[3, ix], v[4, ix], v[5, ix]
+                    w0, w1, w2, w3, w4, w5 = w[0, ix], w[1, ix], w[2, ix], w[3, ix], w[4, ix], w[5, ix]
                     for z in range(depth):
-                        total[iy, ix, z] += (
+                        sums[iy, ix, z] += (
                             v0 * filtered[a, i0, z]
                             + w0 * filtered[a, i0 + 1, z]
                             + v1 * filtered[a + 1, i1, z]
@@ -190,16 +209,19 @@ def _backproject(
                             + v5 * filtered[a + 5, i5, z]
                             + w5 * filtered[a + 5, i5 + 1, z]
                         )
+        for z in range(len(total)):
+            for iy in range(rows):
+                for ix in range(columns):
+                    total[z, y_start + iy, x_start + ix] = sums[iy, ix, z]
 
 
 @njit(inline="always")
 def _tap(position: float, samples: int) -> tuple[int, np.float32, np.float32]:
-    """Return index and the two weights of linear interpolation; weights 0 outside the samples."""
-    if not 0 <= position <= samples - 1:
-        return 0, np.float32(0), np.float32(0)
-    index = min(int(position), samples - 2)
+    """Return index and the two weights of linear interpolation; weights 0 outside the samples.  Free of branches."""
+    index = min(max(int(position), 0), samples - 2)
     weight = np.float32(position - index)
-    return index, np.float32(1) - weight, weight
+    inside = np.float32(1) if 0 <= position <= samples - 1 else np.float32(0)
+    return index, inside * (np.float32(1) - weight), inside * weight
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
