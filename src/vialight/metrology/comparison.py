@@ -49,9 +49,16 @@ class Agreement:
         """The largest distance in either direction."""
         return max(self.forward.max_mm, self.reverse.max_mm)
 
-    def to_json(self) -> dict[str, float | None]:
+    @property
+    def worst(self) -> tuple[Literal["print", "reference"], FloatArray]:
+        """The surface, and the (3,) point on it, that lies farthest from the other."""
+        if self.reverse.max_mm > self.forward.max_mm:
+            return "reference", self.reverse.worst_point_mm
+        return "print", self.forward.worst_point_mm
+
+    def to_json(self) -> dict[str, Any]:
         """Return the statistics under the names of ``metrics.json``."""
-        values: dict[str, float | None] = {}
+        values: dict[str, Any] = {}
         for prefix, part in (("", self.forward), ("reverse_", self.reverse)):
             values[f"{prefix}rmse_mm"] = part.rmse_mm
             values[f"{prefix}mean_mm"] = part.mean_mm
@@ -60,6 +67,8 @@ class Agreement:
         std = self.forward.std_mm
         return values | {
             "hausdorff_mm": self.hausdorff_mm,
+            "hausdorff_on": self.worst[0],
+            "hausdorff_at_mm": self.worst[1].tolist(),
             "rmse_percent": 100 * self.forward.rmse_mm / self.max_dimension_mm,
             "std_percent": None if std is None else 100 * std / self.max_dimension_mm,
             "iou": self.iou,
@@ -119,9 +128,9 @@ class Comparison:
         The verdict in the reported pose; None where no tolerance was given.
     """
 
-    measured: Mesh
-    reference: Mesh
-    deviation_mm: FloatArray
+    measured: Mesh = field(repr=False)
+    reference: Mesh = field(repr=False)
+    deviation_mm: FloatArray = field(repr=False)
     as_placed: Agreement
     aligned: Agreement | None
     registration: Registration | None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -161,11 +161,14 @@ class Deviation:
         (n,) area that each stands for.
     is_signed
         Whether the other surface is closed.
+    worst_point_mm
+        (3,) the sample that lies farthest off.
     """
 
-    distance_mm: FloatArray
-    weights_mm2: FloatArray
+    distance_mm: FloatArray = field(repr=False)
+    weights_mm2: FloatArray = field(repr=False)
     is_signed: bool
+    worst_point_mm: FloatArray
 
     @property
     def rmse_mm(self) -> float:
@@ -206,7 +209,9 @@ def deviation(samples: Samples, mesh: Mesh) -> Deviation:
     """Measure samples of one surface against another, signed where the other is closed."""
     is_closed = mesh.is_closed
     measure = signed_distance if is_closed else unsigned_distance
-    return Deviation(measure(samples.points_mm, mesh), samples.weights_mm2, is_closed)
+    distance = measure(samples.points_mm, mesh)
+    worst_point = samples.points_mm[np.argmax(np.abs(distance))]
+    return Deviation(distance, samples.weights_mm2, is_closed, worst_point)
 
 
 def _as_points(points_mm: ArrayLike) -> FloatArray:

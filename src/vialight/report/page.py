@@ -133,6 +133,8 @@ def _content(comparison: Comparison, provenance: Provenance, figures: Sequence[F
 def _summary(poses: Sequence[Agreement]) -> list[tuple[str, str, list[str]]]:
     """Return rows: name, explanation, a value for each pose."""
     tables = [pose.to_json() for pose in poses]
+    body, point = poses[0].worst
+    worst = f"on the {body} at {_vector(point, 2)} mm"
 
     def row(name: str, why: str, *keys: str) -> tuple[str, str, list[str]]:
         formats = {"mm": _mm, "percent": _percent, "iou": _share}
@@ -148,7 +150,7 @@ def _summary(poses: Sequence[Agreement]) -> list[tuple[str, str, list[str]]]:
         ),
         row("Mean", "signed; positive outside the other body", "mean_mm", "reverse_mean_mm"),
         row("95 % within", "of the area, print to reference / reference to print", "p95_mm", "reverse_p95_mm"),
-        row("Largest deviation", "Hausdorff distance, either direction", "hausdorff_mm"),
+        row("Largest deviation", f"Hausdorff distance, either direction; {worst}", "hausdorff_mm"),
         row("Overlap", "intersection over union of the two bodies", "iou"),
         row("Volume error", "of the reference's volume; positive where the print has more", "volume_error_percent"),
     ]
