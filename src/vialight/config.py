@@ -82,7 +82,10 @@ class ThresholdConditions(_Table):
 
 
 class Resin(_Table):
-    """The resin: indices at 624 nm (imaging) and 460 nm (writing), absorption, gelation threshold I_p."""
+    """The resin: indices at 624 nm (imaging) and 460 nm (writing), absorption at 460 nm (Napierian), threshold I_p.
+
+    ``critical_exposure_mj_per_cm2`` is the light, in the resin, after which it gels.
+    """
 
     name: str = ""
     index_imaging: Index | None = None
@@ -107,15 +110,28 @@ class Camera(_Table):
 
 
 class Projector(_Table):
-    """The projector: a camera run backwards; azimuth is that of its pupil about the axis, 0 at the camera."""
+    """The projector: a camera run backwards; azimuth is that of its pupil about the axis, 0 at the camera.
+
+    ``axis_column`` and ``optical_row`` (by default the middle row) say where the axis and the optical axis meet its
+    image; ``irradiance_mw_per_cm2`` is that of level 255 in air, in the plane of the axis.
+    """
 
     distance_mm: Distance
     pixel_mm: Length
     columns: Annotated[int, Field(ge=1)]
     rows: Annotated[int, Field(ge=1)]
     axis_column: Finite
+    optical_row: Finite | None = None
     azimuth_deg: Finite
     frame_rate_hz: Length = 32.0
+    irradiance_mw_per_cm2: Length | None = None
+
+    def as_camera(self) -> Camera:
+        """Return the camera that would see along the projector's rays."""
+        row = (self.rows - 1) / 2 if self.optical_row is None else self.optical_row
+        return Camera(
+            distance_mm=self.distance_mm, pixel_mm=self.pixel_mm, axis_column=self.axis_column, optical_row=row
+        )
 
 
 class Stage(_Table):
@@ -145,6 +161,15 @@ class Rig(_Table):
             )
         return self.camera
 
+    def need_projector(self) -> Projector:
+        """Return the projector's table, or say that it is missing."""
+        if self.projector is None:
+            raise InputError(
+                self.source, "no table [projector]",
+                accepted="distance_mm, pixel_mm, columns, rows, axis_column, azimuth_deg", remedy="add it",
+            )  # fmt: skip
+        return self.projector
+
     def imaging_optics(self) -> Optics | None:
         """Return what the camera's rays pass through; None for ``geometry = "parallel"``."""
         if self.geometry == "parallel":
@@ -156,9 +181,8 @@ class Rig(_Table):
         """Return what the projector's rays pass through; None for ``geometry = "parallel"``."""
         if self.geometry == "parallel":
             return None
-        if self.projector is None:
-            raise InputError(self.source, "no table [projector]", accepted="see docs/reference.md", remedy="add it")
-        return self._optics("projector", self.projector.distance_mm, "index_writing", self.resin.index_writing)
+        distance = self.need_projector().distance_mm
+        return self._optics("projector", distance, "index_writing", self.resin.index_writing)
 
     def _optics(self, device: str, distance: float | None, index_name: str, index: float | None) -> Optics:
         if self.vial is None:

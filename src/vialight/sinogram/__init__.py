@@ -4,14 +4,15 @@ A frame at stage angle theta is a curved cut through the sinogram: its column at
 ``psi = theta - beta + gamma(x_v)``.  So for each (psi, x_v, z) the column, the row and the stage angle that see this
 ray are read off, and the frames are interpolated there.
 
-`turns` chooses frames by angle, `background` makes line integrals of counts, `geometry` says where a ray is seen, and
-`resampling` reads it there.
+`turns` chooses frames by angle, `background` makes line integrals of counts, `geometry` chooses the rays, and
+`resampling` reads them where `vialight.viewing` says that they are seen.
 """
 
 from vialight.sinogram.background import attenuation, bin_frames
-from vialight.sinogram.geometry import heights_seen, parallel_beam, ray_tilt, rows_seen, vial_edge_columns
+from vialight.sinogram.geometry import parallel_beam, rows_seen
 from vialight.sinogram.resampling import resample
 from vialight.sinogram.turns import select_turn
+from vialight.viewing import heights_seen, ray_tilt, vial_edge_columns
 
 __all__ = [
     "attenuation",
