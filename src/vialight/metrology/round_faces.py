@@ -17,6 +17,8 @@ _LEAST_SHARE = 0.02
 """Of all bent edges, those that must speak for a direction; freeform parts have none that does."""
 _FIT_TOLERANCE = 0.02
 """Of the radius: how far a face's corners may lie off its cylinder."""
+_CANDIDATES, _VOTERS = 64, 4000
+"""Votes that are looked at to find where the others agree."""
 _AGREE = 0.05
 """Of the radius: how far votes for one centre may lie apart."""
 _ALONG = 0.05
@@ -88,7 +90,9 @@ def _bends(mesh: Mesh) -> _Bends:
 
 def _directions(bends: _Bends) -> list[FloatArray]:
     """Return the directions that most bent edges vote for."""
-    votes, weights = bends.direction, bends.weight.copy()
+    is_bent = bends.weight > 0
+    ballot = _some(np.column_stack([bends.direction, bends.weight])[is_bent], 5 * _VOTERS)
+    votes, weights = ballot[:, :3], ballot[:, 3].copy()
     total = weights.sum()
     chosen: list[FloatArray] = []
     while len(chosen) < _MAX_DIRECTIONS and weights.max(initial=0.0) > 0:
@@ -161,13 +165,20 @@ def _centre_votes(mesh: Mesh, bends: _Bends, across: FloatArray, is_along: BoolA
 
 def _strongest(votes: FloatArray) -> tuple[FloatArray, float, BoolArray]:
     """Return centre and radius where the votes are densest, in units of the radius, and which votes agree there."""
-    candidates = votes[np.argsort(-votes[:, 3], kind="stable")[:: max(1, len(votes) // 200)]]
-    some = votes[:: max(1, len(votes) // 5000)]
-    apart = np.abs(some[:, None, :3] - candidates[None, :, :3]).max(axis=2) / candidates[:, 2]
-    best = candidates[np.argmax(some[:, 3] @ (apart < _AGREE))]
+    candidates = _some(votes[np.argsort(-votes[:, 3], kind="stable")], _CANDIDATES)
+    voters = _some(votes, _VOTERS)
+    agree = np.ones((len(voters), len(candidates)), dtype=bool)
+    for k in range(3):
+        agree &= np.abs(voters[:, k, None] - candidates[:, k]) < _AGREE * candidates[:, 2]
+    best = candidates[np.argmax(voters[:, 3] @ agree)]
     agree = np.asarray(np.abs(votes[:, :3] - best[:3]).max(axis=1) < _AGREE * best[2])
     mean = np.average(votes[agree, :3], axis=0, weights=votes[agree, 3])
     return mean[:2], float(mean[2]), agree
+
+
+def _some(rows: FloatArray, count: int) -> FloatArray:
+    """Return every so-manieth row, about `count` of them."""
+    return rows[:: max(1, len(rows) // count)]
 
 
 def _on_circle(flat: FloatArray, centre: FloatArray, radius: float) -> BoolArray:
