@@ -7,8 +7,8 @@ from numba import njit, prange
 
 from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, ParallelBeam
 from vialight.config import Camera, Optics
-from vialight.sinogram.geometry import columns_and_directions, rows_and_plan_share
 from vialight.sinogram.turns import TURN_RAD, check_gaps, nominal_step, sorted_turn
+from vialight.viewing import columns_and_directions, rows_and_plan_share
 
 AngleTaps = tuple[np.intp, np.intp, np.intp, np.intp, np.float32, np.float32, np.float32, np.float32, np.float32]
 
@@ -19,6 +19,9 @@ _BRIDGED_GAP_STEPS = 4.5
 """Up to this many steps a ray that no side sees is interpolated across the gap."""
 
 _SPLINE_POLE = np.sqrt(3.0) - 2.0
+
+_SPLINE_REACH = 14
+"""Rows until powers of the pole vanish in single precision."""
 
 
 def resample(
@@ -62,7 +65,8 @@ def resample(
     check_gaps(angles, half_turn_suffices=optics is None)
     column, direction = columns_and_directions(beam.virtual_x_mm, float(z_mm.mean()), camera, optics)
     rows, plan_share = rows_and_plan_share(frames.shape[2], z_mm, camera, optics)
-    by_column = _read_rows(frames[order], rows - first_row, plan_share)
+    frames = frames[order] if frames.shape[1] > 1 else np.repeat(frames[order], 2, axis=1)
+    by_column = _read_rows(frames, rows - first_row, plan_share)
     step = nominal_step(angles)
     out = np.zeros((len(beam.psi_rad), len(column), len(z_mm)), np.float32)
     gap_steps = np.zeros(out.shape[:2], np.float32)
@@ -107,29 +111,35 @@ def _b_spline(t: float) -> tuple[np.float32, np.float32, np.float32, np.float32]
 
 @njit(inline="always")
 def _spline_coefficients(frame: Float32Array) -> None:
-    """Turn samples along rows into cubic B-spline coefficients, in place (Unser 1999, box 2)."""
+    """Turn samples along rows into cubic B-spline coefficients in place, mirrored at the ends (Unser 1999, box 2)."""
     height, columns = frame.shape
-    pole = np.float32(_SPLINE_POLE)
-    # Both passes start as if the end row went on for ever.
-    start, gain = np.float32(1 / (1 - _SPLINE_POLE)), np.float32((1 - _SPLINE_POLE) ** 2)
-    for c in range(columns):
-        frame[0, c] *= start
+    pole, period = np.float32(_SPLINE_POLE), 2 * (height - 1)
+    first = np.zeros(columns, np.float32)
+    for k in range(_SPLINE_REACH):
+        weight = np.float32(_SPLINE_POLE**k)
+        mirrored = min(k % period, period - k % period)
+        for c in range(columns):
+            first[c] += weight * frame[mirrored, c]
+    frame[0] = first
     for r in range(1, height):
         for c in range(columns):
             frame[r, c] += pole * frame[r - 1, c]
     for c in range(columns):
-        frame[height - 1, c] *= start
+        frame[height - 1, c] = (frame[height - 1, c] + pole * frame[height - 2, c]) / (1 - pole * pole)
     for r in range(height - 2, -1, -1):
         for c in range(columns):
             frame[r, c] += pole * frame[r + 1, c]
     for r in range(height):
         for c in range(columns):
-            frame[r, c] *= gain
+            frame[r, c] *= (1 - pole) * (1 - pole)
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def _read_rows(frames: Float32Array, rows: FloatArray, share: FloatArray) -> Float32Array:
-    """(frame, row, column) -> (column, frame, z): each column at the rows that see the heights."""
+    """(frame, row, column) -> (column, frame, z): each column at the rows that see the heights.
+
+    Beyond the end rows, of which there are two at least, the image goes on as it ends.
+    """
     count, height, columns = frames.shape
     depth = rows.shape[1]
     out = np.empty((columns, count, depth), np.float32)
@@ -138,12 +148,13 @@ def _read_rows(frames: Float32Array, rows: FloatArray, share: FloatArray) -> Flo
         _spline_coefficients(coefficients)
         for c in range(columns):
             for z in range(depth):
-                floor = int(np.floor(rows[c, z]))
-                w0, w1, w2, w3 = _b_spline(rows[c, z] - floor)
-                total = w0 * coefficients[min(max(floor - 1, 0), height - 1), c]
-                total += w1 * coefficients[min(max(floor, 0), height - 1), c]
-                total += w2 * coefficients[min(max(floor + 1, 0), height - 1), c]
-                total += w3 * coefficients[min(max(floor + 2, 0), height - 1), c]
+                position = min(max(rows[c, z], 0.0), height - 1.0)
+                floor = min(int(position), height - 2)
+                w0, w1, w2, w3 = _b_spline(position - floor)
+                total = w0 * coefficients[abs(floor - 1), c]
+                total += w1 * coefficients[floor, c]
+                total += w2 * coefficients[floor + 1, c]
+                total += w3 * coefficients[min(floor + 2, 2 * height - 4 - floor), c]
                 out[c, f, z] = total * np.float32(share[c, z])
     return out
 
