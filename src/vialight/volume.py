@@ -40,7 +40,9 @@ def reconstruct_slices(
         (z, y, x) float32, per mm.
     """
     half = len(beam.psi_rad) // 2
-    folded = sinogram[:half] + sinogram[half:, ::-1]
+    by_ray = sinogram.transpose(1, 0, 2)
+    folded = np.empty((by_ray.shape[0], half, by_ray.shape[2]), np.float32)
+    np.add(by_ray[:, :half], by_ray[::-1, half:], out=folded)
     filtered = _filter(folded, beam, filter_name)
     first = float(beam.virtual_x_mm[0])
     return backproject(filtered, beam.psi_rad[:half], first, beam.spacing_mm, x_mm, y_mm).transpose(2, 0, 1)
@@ -75,15 +77,18 @@ def reconstruct_tilted(
     numpy.ndarray
         (z, y, x) float32, per mm.
     """
-    filtered = _filter(sinogram, beam, filter_name)
+    filtered = np.ascontiguousarray(_filter(sinogram.transpose(1, 0, 2), beam, filter_name))
     first = float(beam.virtual_x_mm[0])
     return backproject_tilted(
         filtered, beam.psi_rad, first, beam.spacing_mm, tilt_per_mm, mid_height_mm, x_mm, y_mm, z_mm
     ).transpose(2, 0, 1)
 
 
-def _filter(sinogram: Float32Array, beam: ParallelBeam, filter_name: FilterName) -> Float32Array:
+def _filter(by_ray: Float32Array, beam: ParallelBeam, filter_name: FilterName) -> Float32Array:
+    """Filter (x_v, psi, z) along x_v and return (psi, x_v, z)."""
     # Full turn: every ray is there twice, so half the angular step counts.
     scale = np.float32(np.pi / len(beam.psi_rad))
-    matrix = ramp_filter(filter_name, sinogram.shape[1], beam.spacing_mm) * scale
-    return np.asarray(np.matmul(matrix, sinogram), dtype=np.float32)
+    matrix = ramp_filter(filter_name, len(by_ray), beam.spacing_mm) * scale
+    # One large product: one a view would have the processors wait for each other once a view.
+    filtered = (matrix @ by_ray.reshape(len(by_ray), -1)).reshape(by_ray.shape)
+    return np.asarray(filtered.transpose(1, 0, 2), dtype=np.float32)
