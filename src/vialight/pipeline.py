@@ -201,7 +201,7 @@ def reconstruct(
     for start in range(0, grid.shape[0], SLICES_A_BLOCK):
         block = slice(start, min(start + SLICES_A_BLOCK, grid.shape[0]))
         density[block] = _reconstruct_block(scan, beam, grid, grid.z_mm[block], settings, read)
-        density[block][:, outside] = 0
+        np.copyto(density[block], 0, where=outside)
         if progress:
             progress(block.stop, grid.shape[0])
     return Volume(density, grid)
