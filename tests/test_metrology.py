@@ -15,14 +15,12 @@ from scipy.spatial.transform import Rotation
 from vialight.errors import InputError, VialightWarning
 from vialight.mesh import Mesh
 from vialight.metrology import (
-    column_grid,
     compare,
     intersection_over_union,
     measure_cylinders,
     register,
     sample_surface,
     signed_distance,
-    thickness,
     unsigned_distance,
 )
 from vialight.metrology.distance import Deviation, deviation
@@ -295,33 +293,6 @@ def test_displacement_metric_is_the_sum_of_squared_displacements(twist: list[flo
     assert t @ displacement_metric(points) @ t == pytest.approx((displacement**2).sum(), abs=1e-12)
     for small in (step_of(t * 1e-6, np.zeros(3)), flow_of(t * 1e-6, np.zeros(3))):
         np.testing.assert_allclose(points @ small[:3, :3].T + small[:3, 3] - points, displacement * 1e-6, atol=1e-10)
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_thickness_sums_to_the_volume_and_is_never_negative(axis: int) -> None:
-    turned = PART.moved(TILT)
-    grid = column_grid(turned.bounds_mm, axis, 0.05)
-    lengths = thickness(turned, grid)
-    assert lengths.min() > -1e-9
-    assert lengths.sum() * 0.05**2 == pytest.approx(turned.volume_mm3, rel=2e-3)
-
-
-def test_projection_is_not_mirrored() -> None:
-    wedge = joined(box(1, 1, 1), shifted(box(1, 1, 2), 4, 0, 0), shifted(box(1, 1, 3), 0, 8, 0))
-    lengths = thickness(wedge, column_grid(wedge.bounds_mm, 2, 0.5))  # (v, u) = (y, x)
-    assert lengths.shape == (18, 10)
-    assert (lengths[0, 0], lengths[0, -1], lengths[-1, 0], lengths[-1, -1]) == (1, 2, 3, 0)
-    lengths = thickness(wedge, column_grid(wedge.bounds_mm, 0, 0.5))  # (v, u) = (z, y)
-    assert lengths.shape == (6, 18)
-    assert (lengths[2, 0], lengths[2, -1], lengths[0, -1]) == (2, 1, 1)
-
-
-def test_columns_that_hit_edges_and_corners_exactly_are_counted_once() -> None:
-    fan = mesh_of(trimesh.creation.box((4, 4, 4)).subdivide().subdivide())
-    bounds = fan.bounds_mm + np.array([[-0.5], [0.5]])
-    lengths = thickness(fan, column_grid(bounds, 2, 1.0))  # columns at whole numbers, where the edges are
-    assert set(np.unique(lengths)) == {0.0, 4.0}
-    assert np.count_nonzero(lengths) == 16
 
 
 def test_overlap_of_boxes_is_exact() -> None:

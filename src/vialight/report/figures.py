@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vialight.arrays import FloatArray
+from vialight.columns import column_grid, thickness
 from vialight.mesh import Mesh
-from vialight.metrology import Comparison, column_grid, thickness
+from vialight.metrology import Comparison
 from vialight.report.colours import colour_ramp, deviation_colours, round_up
 from vialight.report.views import VIEWS, Drawing, View, draw
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vialight.arrays import FloatArray
+from vialight.columns import ColumnGrid, crossings
 from vialight.mesh import Mesh
-from vialight.metrology import ColumnGrid, crossings
 
 _OVERSAMPLING = 2
 _LIGHT = np.array([-0.3, 0.35, 0.89])
