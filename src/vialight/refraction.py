@@ -23,6 +23,8 @@ from vialight.config import Optics
 _HEIGHT_ITERATIONS = 8
 """Each pass of `virtual_to_camera` gains a factor of about k^2 < 0.05, so that eight end at rounding."""
 
+_TINY = 1e-300
+
 
 class VirtualRays(NamedTuple):
     """Rays inside the resin, as parallel-beam tomography names them; NaN where the ray misses the resin."""
@@ -163,6 +165,54 @@ def _raise(
         plan = _plan_view(impact, elevation_sine, optics)
         height_at_axis = mid_height / (1 + per_height * plan.height_per_elevation)
         return height_at_axis * per_height, height_at_axis / cosine**2
+
+
+def transmission(x_c_mm: ArrayLike, z_c_mm: ArrayLike, optics: Optics) -> FloatArray:
+    """Return the share of unpolarised light that gets from air into the resin, or out of it (Fresnel).
+
+    Parameters
+    ----------
+    x_c_mm, z_c_mm
+        Where the pixels' straight rays cross the axis plane; any shapes that broadcast.
+    optics
+        The device and the vial.
+
+    Returns
+    -------
+    numpy.ndarray
+        0 to 1; 0 where the ray misses the resin.
+
+    Notes
+    -----
+    At a cylinder the sine of the angle of incidence in medium j is ``sqrt(1 - (1 - (k/n_j)^2) cos(a_j)^2)``, with
+    ``sin(a_j) = b_j / r`` the angle seen from above.
+
+    Examples
+    --------
+    >>> optics = Optics(12.4, 12.4, 1.5, 1.5, 150.0)
+    >>> round(float(transmission(0.0, 0.0, optics)), 4)
+    0.96
+    """
+    x_c, z_c = np.broadcast_arrays(np.asarray(x_c_mm, dtype=np.float64), np.asarray(z_c_mm, dtype=np.float64))
+    distance = optics.distance_mm
+    impact = x_c / np.sqrt(1 + (x_c / distance) ** 2)
+    k = z_c / distance / np.sqrt(1 + (x_c / distance) ** 2 + (z_c / distance) ** 2)
+    surfaces = [
+        (optics.outer_radius_mm, 1.0, optics.wall_index),
+        (optics.inner_radius_mm, optics.wall_index, optics.resin_index),
+    ]
+    total = np.ones(x_c.shape)
+    for radius, before, after in surfaces:
+        # Cosines of incidence and refraction: of the angle seen from above times that of the climb.
+        cosines = [
+            np.sqrt(np.clip(1 - (impact / radius) ** 2 * (1 - k**2) / (n**2 - k**2), 0, 1)) * np.sqrt(1 - (k / n) ** 2)
+            for n in (before, after)
+        ]
+        s_wave = (before * cosines[0] - after * cosines[1]) / (before * cosines[0] + after * cosines[1] + _TINY)
+        p_wave = (before * cosines[1] - after * cosines[0]) / (before * cosines[1] + after * cosines[0] + _TINY)
+        total = total * (1 - (s_wave**2 + p_wave**2) / 2)
+    hits = np.isfinite(camera_to_virtual(x_c, z_c, optics).direction_rad)
+    return np.where(hits, total, 0.0)
 
 
 def small_angle_camera_to_virtual(x_c_mm: ArrayLike, optics: Optics) -> tuple[FloatArray, FloatArray]:
