@@ -238,7 +238,8 @@ def _row_window(scan: Scan) -> RowReader:
 
     Slices are asked for from the bottom up, rows count from the top down: a new window ends where it is asked to.
     """
-    capacity = max(1, FRAME_BYTES // (4 * len(scan.chosen) * scan.shape[1]))
+    # All that is summed into a binned row is there at once, in single precision.
+    capacity = FRAME_BYTES // (4 * len(scan.chosen) * scan.shape[1] * scan.binning**2)
     held, rows_held = np.empty((0, 0, 0), np.float32), slice(0, 0)
 
     def read(rows: slice) -> Float32Array:
