@@ -86,7 +86,7 @@ def backproject(
     Parameters
     ----------
     filtered
-        (psi, s, z) float32.
+        (psi, s, z) float32, two samples or more.
     psi_rad
         (psi,) angles, in any order.
     first_s_mm, spacing_mm
@@ -174,6 +174,9 @@ def _backproject(
     total: Float32Array,
 ) -> None:
     angles, samples, depth = filtered.shape
+    stacks = filtered.reshape((angles * samples, depth))
+    # Unsigned: a signed index would be looked at for counting from the end.
+    one = np.uint64(1)
     tiles_x = (len(x_mm) + _TILE - 1) // _TILE
     tiles_y = (len(y_mm) + _TILE - 1) // _TILE
     for tile in prange(tiles_x * tiles_y):
@@ -182,32 +185,33 @@ def _backproject(
         rows, columns = min(_TILE, len(y_mm) - y_start), min(_TILE, len(x_mm) - x_start)
         sums = np.zeros((rows, columns, depth), np.float32)
         # Index and weights of a row of pixels are found ahead of their use, many at once in a vector register.
-        at = np.empty((_ANGLES_A_PASS, columns), np.int64)
+        at = np.empty((_ANGLES_A_PASS, columns), np.uint64)
         v, w = np.empty((_ANGLES_A_PASS, columns), np.float32), np.empty((_ANGLES_A_PASS, columns), np.float32)
         for a in range(0, angles, _ANGLES_A_PASS):
             for iy in range(rows):
                 for k in range(_ANGLES_A_PASS):
                     offset = -y_mm[y_start + iy] * sine[a + k] - first
                     for ix in range(columns):
-                        at[k, ix], v[k, ix], w[k, ix] = _tap(x_mm[x_start + ix] * cosine[a + k] + offset, samples)
+                        index, v[k, ix], w[k, ix] = _tap(x_mm[x_start + ix] * cosine[a + k] + offset, samples)
+                        at[k, ix] = (a + k) * samples + index
                 for ix in range(columns):
                     i0, i1, i2, i3, i4, i5 = at[0, ix], at[1, ix], at[2, ix], at[3, ix], at[4, ix], at[5, ix]
                     v0, v1, v2, v3, v4, v5 = v[0, ix], v[1, ix], v[2, ix], v[3, ix], v[4, ix], v[5, ix]
                     w0, w1, w2, w3, w4, w5 = w[0, ix], w[1, ix], w[2, ix], w[3, ix], w[4, ix], w[5, ix]
                     for z in range(depth):
                         sums[iy, ix, z] += (
-                            v0 * filtered[a, i0, z]
-                            + w0 * filtered[a, i0 + 1, z]
-                            + v1 * filtered[a + 1, i1, z]
-                            + w1 * filtered[a + 1, i1 + 1, z]
-                            + v2 * filtered[a + 2, i2, z]
-                            + w2 * filtered[a + 2, i2 + 1, z]
-                            + v3 * filtered[a + 3, i3, z]
-                            + w3 * filtered[a + 3, i3 + 1, z]
-                            + v4 * filtered[a + 4, i4, z]
-                            + w4 * filtered[a + 4, i4 + 1, z]
-                            + v5 * filtered[a + 5, i5, z]
-                            + w5 * filtered[a + 5, i5 + 1, z]
+                            v0 * stacks[i0, z]
+                            + w0 * stacks[i0 + one, z]
+                            + v1 * stacks[i1, z]
+                            + w1 * stacks[i1 + one, z]
+                            + v2 * stacks[i2, z]
+                            + w2 * stacks[i2 + one, z]
+                            + v3 * stacks[i3, z]
+                            + w3 * stacks[i3 + one, z]
+                            + v4 * stacks[i4, z]
+                            + w4 * stacks[i4 + one, z]
+                            + v5 * stacks[i5, z]
+                            + w5 * stacks[i5 + one, z]
                         )
         for z in range(len(total)):
             for iy in range(rows):
@@ -218,7 +222,7 @@ def _backproject(
 @njit(inline="always")
 def _tap(position: float, samples: int) -> tuple[int, np.float32, np.float32]:
     """Return index and the two weights of linear interpolation; weights 0 outside the samples.  Free of branches."""
-    index = min(max(int(position), 0), samples - 2)
+    index = max(min(int(position), samples - 2), 0)
     weight = np.float32(position - index)
     inside = np.float32(1) if 0 <= position <= samples - 1 else np.float32(0)
     return index, inside * (np.float32(1) - weight), inside * weight
