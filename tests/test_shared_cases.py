@@ -100,8 +100,9 @@ def test_accurate_is_truer_on_a_tall_part(tmp_path: Path) -> None:
 
     Without noise and in voxels of half a pixel: 11.8 and 6.0, and 26.9 and 10.5.
 
-    Off the axis, an end face is seen up to 0.2 mm higher from one side than from the other.  (The same part with plates
-    of 6.2 mm radius across its ends, on the axis, where both see the same: 9.7 and 9.3, at D = 190 mm 8.1 and 8.3.)
+    Off the axis, an end face is seen up to 0.2 mm higher from one side than from the other.  (A part with plates of
+    6.2 mm radius about the axis near its ends, where both sides see the same, gains little or nothing: without noise
+    9.7 and 9.3, at D = 190 mm 8.1 and 8.3.)
     """
     rig = Rig(
         vial=Vial(outer_radius_mm=12.4, wall_mm=1.1, wall_index=1.472),

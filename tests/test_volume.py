@@ -83,7 +83,9 @@ def test_where_the_turn_begins_does_not_matter(azimuth: float, off_axis: float, 
     centre = (off_axis * np.cos(azimuth), off_axis * np.sin(azimuth))
     x_mm = centred(40, 0.25)
     from_zero, from_first = (slices_of_disk(beam_of(240, 100, start), centre, x_mm) for start in (0.0, first))
-    np.testing.assert_allclose(from_first, from_zero, rtol=0, atol=0.02 * DENSITY)
+    field = np.hypot(x_mm, x_mm[:, None]) < 4.5
+    np.testing.assert_allclose(from_first[field], from_zero[field], rtol=0, atol=0.03 * DENSITY)
+    assert np.sqrt(np.mean((from_first - from_zero)[field] ** 2)) < 0.005 * DENSITY
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -164,6 +164,18 @@ def test_rows_that_are_not_needed_may_be_left_out() -> None:
     np.testing.assert_allclose(window, whole, rtol=0, atol=1e-5)
 
 
+def test_integrals_are_along_the_rays_plan_view() -> None:
+    """A climbing ray is longer than its plan view, and collects more."""
+    optics = Optics(12.4, 11.3, 1.472, 1.48, 40.0)
+    camera = Camera(pixel_mm=0.155, axis_column=87.5, optical_row=75.0)
+    beam = parallel_beam(turn(20), COLUMNS, camera, optics)
+    found = resample(np.ones((20, 76, COLUMNS), np.float32), 0, turn(20), camera, optics, beam, np.array([9.0, 9.1]))
+    slope = ray_tilt(beam.virtual_x_mm, optics)[:, None] * [9.0, 9.1]
+    seen = np.abs(beam.virtual_x_mm) < 0.99 * optics.field_radius_mm
+    assert slope.min() > 0.14
+    np.testing.assert_allclose(found[:, seen], np.broadcast_to(1 / np.hypot(1, slope), found.shape)[:, seen], rtol=2e-3)
+
+
 def test_a_wall_missing_from_the_rig_shows() -> None:
     """That the bounds above are tight enough to see the glass."""
     camera, angles = camera_at(87.9), turn()
