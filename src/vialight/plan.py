@@ -28,8 +28,8 @@ class Patterns:
     first_row, first_column
         Where in the projector's image the part begins.
     dose_rate_per_level
-        Dose per radian of turn that one grey level brings to resin at the axis in the mid-plane before absorption and
-        reflection, where 1 is the dose that is meant inside the part after one turn.
+        Dose per radian of turn of light of one grey level, as it is in air in the plane of the axis; 1 is the dose that
+        is meant inside the part after one turn.
 
     Notes
     -----

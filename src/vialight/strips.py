@@ -21,6 +21,8 @@ from numba import njit, prange
 from vialight.arrays import FAST_MATH, Float32Array, FloatArray
 
 _TILE = 32
+_BLOCK = 64
+"""Pixels along the edge of a tile, and slices in a block: what is summed together stays in cache."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +39,15 @@ class StripGeometry:
         Voxel centres, evenly spaced, with the same pitch along both.
     absorption_per_mm
         Napierian absorption coefficient mu; 0 for none.
-    tilt_per_mm, z_mm
-        For rays that climb: (s,) rise per mm of plan view and per mm of mid-height, and (z,) evenly spaced heights of
-        the slices, which are the strips' mid-heights too.  None for rays that stay in their slice.
+    tilt_per_mm
+        (s,) climb of the rays, per mm of plan view and per mm of mid-height: light spreads by ``1 + t tilt`` along its
+        way.  None for light that is parallel in z.
+    z_mm
+        (z,) evenly spaced heights of the slices, which are the strips' mid-heights too, to let the rays climb from
+        slice to slice; None to keep them in their slice.
+    from_both_sides
+        Whether the same light comes from psi + pi too, so that half a turn of projections stands for a full one; the
+        weight is then the mean of both ways.  Not for light that climbs.
     """
 
     psi_rad: FloatArray
@@ -51,6 +59,7 @@ class StripGeometry:
     absorption_per_mm: float = 0.0
     tilt_per_mm: FloatArray | None = None
     z_mm: FloatArray | None = None
+    from_both_sides: bool = False
 
     @property
     def voxel_mm(self) -> float:
@@ -74,10 +83,10 @@ def backproject_strips(projections: Float32Array, geometry: StripGeometry) -> Fl
         (y, x, z) float32.
     """
     dose = np.zeros((len(geometry.y_mm), len(geometry.x_mm), projections.shape[2]), np.float32)
-    if geometry.tilt_per_mm is None:
+    if geometry.z_mm is None:
         _backproject(np.ascontiguousarray(projections), *_plain(geometry), dose)
     else:
-        _backproject_tilted(np.ascontiguousarray(projections), *_plain(geometry), *_climb(geometry), dose)
+        _backproject_tilted(np.ascontiguousarray(projections), *_plain(geometry), _first_height(geometry), dose)
     return dose
 
 
@@ -97,28 +106,31 @@ def project_strips(volume: Float32Array, geometry: StripGeometry) -> Float32Arra
         (psi, s, z) float32: for voxels as wide as strips, the integral along the ray in voxels.
     """
     projections = np.zeros((len(geometry.psi_rad), geometry.samples, volume.shape[2]), np.float32)
-    if geometry.tilt_per_mm is None:
+    if geometry.z_mm is None:
         _project(np.ascontiguousarray(volume), *_plain(geometry), projections)
     else:
-        _project_tilted(np.ascontiguousarray(volume), *_plain(geometry), *_climb(geometry), projections)
+        _project_tilted(np.ascontiguousarray(volume), *_plain(geometry), _first_height(geometry), projections)
     return projections
 
 
-def _plain(geometry: StripGeometry) -> tuple[FloatArray, FloatArray, float, float, FloatArray, FloatArray, float]:
+def _plain(
+    geometry: StripGeometry,
+) -> tuple[FloatArray, FloatArray, float, float, FloatArray, FloatArray, float, FloatArray, bool]:
     """Return what the kernels take, in strip widths."""
     width = geometry.spacing_mm
+    tilt = np.zeros(geometry.samples) if geometry.tilt_per_mm is None else geometry.tilt_per_mm * width
     return (
         np.cos(geometry.psi_rad), np.sin(geometry.psi_rad), geometry.first_s_mm / width, geometry.voxel_mm / width,
-        geometry.x_mm / width, geometry.y_mm / width, geometry.absorption_per_mm * width,
+        geometry.x_mm / width, geometry.y_mm / width, geometry.absorption_per_mm * width, tilt,
+        geometry.from_both_sides,
     )  # fmt: skip
 
 
-def _climb(geometry: StripGeometry) -> tuple[FloatArray, float]:
-    """Return, in strip widths and slices, the tilt of each strip, and the height of the first slice."""
-    assert geometry.tilt_per_mm is not None
-    assert geometry.z_mm is not None
-    slice_mm = float(geometry.z_mm[1] - geometry.z_mm[0]) if len(geometry.z_mm) > 1 else geometry.voxel_mm
-    return geometry.tilt_per_mm * geometry.spacing_mm, float(geometry.z_mm[0]) / slice_mm
+def _first_height(geometry: StripGeometry) -> float:
+    """Return the height of the first slice, in slices."""
+    assert geometry.z_mm is not None  # for mypy: the callers have asked
+    slice_mm = geometry.z_mm[1] - geometry.z_mm[0] if len(geometry.z_mm) > 1 else geometry.voxel_mm
+    return float(geometry.z_mm[0] / slice_mm)
 
 
 @njit(inline="always")
@@ -149,6 +161,17 @@ def _shadow(
     )  # fmt: skip
 
 
+@njit(inline="always")
+def _loss(along: float, absorption: float, tilt: float, both: bool) -> float:
+    """Share of the light that is left after `along`, absorbed and spread; 1 on the axis."""
+    if absorption == 0.0 and tilt == 0.0:
+        return 1.0
+    there = np.exp(-absorption * along) / (1 + along * tilt)
+    if not both:
+        return float(there)
+    return float(0.5 * (there + np.exp(absorption * along) / (1 - along * tilt)))
+
+
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def _backproject(
     projections: Float32Array,
@@ -159,26 +182,32 @@ def _backproject(
     xs: FloatArray,
     ys: FloatArray,
     absorption: float,
+    tilt: FloatArray,
+    both: bool,
     dose: Float32Array,
 ) -> None:
     angles, samples, depth = projections.shape
     tiles_x, tiles_y = (len(xs) + _TILE - 1) // _TILE, (len(ys) + _TILE - 1) // _TILE
-    for tile in prange(tiles_x * tiles_y):
+    blocks = (depth + _BLOCK - 1) // _BLOCK
+    for job in prange(tiles_x * tiles_y * blocks):
+        tile, low = job // blocks, job % blocks * _BLOCK
+        high = min(low + _BLOCK, depth)
         y_start, x_start = tile // tiles_x * _TILE, tile % tiles_x * _TILE
         for a in range(angles):
             for iy in range(y_start, min(y_start + _TILE, len(ys))):
                 for ix in range(x_start, min(x_start + _TILE, len(xs))):
                     x, y = xs[ix], ys[iy]
                     middle, half_top, half_base, start, end = _shadow(x, y, cosine[a], sine[a], first, voxel)
-                    loss = np.exp(-absorption * (x * sine[a] + y * cosine[a]))
+                    along = x * sine[a] + y * cosine[a]
                     before = 0.0
                     for i in range(start, end + 1):
                         until = _shadow_before(i + 0.5 - middle, half_top, half_base)
-                        weight = np.float32((until - before) * loss)
-                        before = until
                         if 0 <= i < samples:
-                            for z in range(depth):
-                                dose[iy, ix, z] += weight * projections[a, i, z]
+                            weight = np.float32((until - before) * _loss(along, absorption, tilt[i], both))
+                            lit, light = dose[iy, ix, low:high], projections[a, i, low:high]
+                            for z in range(len(light)):
+                                lit[z] += weight * light[z]
+                        before = until
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
@@ -191,23 +220,29 @@ def _project(
     xs: FloatArray,
     ys: FloatArray,
     absorption: float,
+    tilt: FloatArray,
+    both: bool,
     projections: Float32Array,
 ) -> None:
     angles, samples, depth = projections.shape
-    for a in prange(angles):
+    blocks = (depth + _BLOCK - 1) // _BLOCK
+    for job in prange(angles * blocks):
+        a, low = job // blocks, job % blocks * _BLOCK
+        high = min(low + _BLOCK, depth)
         for iy in range(len(ys)):
             for ix in range(len(xs)):
                 x, y = xs[ix], ys[iy]
                 middle, half_top, half_base, start, end = _shadow(x, y, cosine[a], sine[a], first, voxel)
-                loss = np.exp(-absorption * (x * sine[a] + y * cosine[a]))
+                along = x * sine[a] + y * cosine[a]
                 before = 0.0
                 for i in range(start, end + 1):
                     until = _shadow_before(i + 0.5 - middle, half_top, half_base)
-                    weight = np.float32((until - before) * loss)
-                    before = until
                     if 0 <= i < samples:
-                        for z in range(depth):
-                            projections[a, i, z] += weight * volume[iy, ix, z]
+                        weight = np.float32((until - before) * _loss(along, absorption, tilt[i], both))
+                        seen, column = projections[a, i, low:high], volume[iy, ix, low:high]
+                        for z in range(len(column)):
+                            seen[z] += weight * column[z]
+                    before = until
 
 
 @njit(inline="always")
@@ -231,6 +266,7 @@ def _backproject_tilted(
     ys: FloatArray,
     absorption: float,
     tilt: FloatArray,
+    both: bool,
     first_height: float,
     dose: Float32Array,
 ) -> None:
@@ -245,10 +281,10 @@ def _backproject_tilted(
                 before = 0.0
                 for i in range(start, end + 1):
                     until = _shadow_before(i + 0.5 - middle, half_top, half_base)
-                    weight = np.float32((until - before) * loss)
-                    before = until
+                    share, before = until - before, until
                     if 0 <= i < samples:
                         shrink = 1 / (1 + along * tilt[i])
+                        weight = np.float32(share * loss * shrink)
                         for z in range(depth):
                             j, low, high = _mid_slice(z, first_height, shrink, depth)
                             k = min(j + 1, depth - 1)
@@ -266,6 +302,7 @@ def _project_tilted(
     ys: FloatArray,
     absorption: float,
     tilt: FloatArray,
+    both: bool,
     first_height: float,
     projections: Float32Array,
 ) -> None:
@@ -280,10 +317,10 @@ def _project_tilted(
                 before = 0.0
                 for i in range(start, end + 1):
                     until = _shadow_before(i + 0.5 - middle, half_top, half_base)
-                    weight = np.float32((until - before) * loss)
-                    before = until
+                    share, before = until - before, until
                     if 0 <= i < samples:
                         shrink = 1 / (1 + along * tilt[i])
+                        weight = np.float32(share * loss * shrink)
                         for z in range(depth):
                             j, low, high = _mid_slice(z, first_height, shrink, depth)
                             k = min(j + 1, depth - 1)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vialight.arrays import FloatArray
 from vialight.config import Camera, Optics
-from vialight.refraction import camera_to_virtual, height_to_camera, virtual_to_camera
+from vialight.refraction import camera_to_virtual, height_to_camera, transmission, virtual_to_camera
 
 EDGE_MARGIN = 0.9995
 """Share of the field that is read: at its very edge rays graze the glass and columns have no width."""
@@ -83,3 +85,46 @@ def rows_and_plan_share(
         return row, np.ones_like(row)
     slope = camera_to_virtual(x_c[:, None], (camera.optical_row - row) * camera.pixel_mm, optics).slope
     return row, 1 / np.sqrt(1 + slope**2)
+
+
+class PixelRays(NamedTuple):
+    """The rays of all pixels of an image, (row, column); NaN, and delivery 0, where they miss the resin."""
+
+    virtual_x_mm: FloatArray
+    direction_rad: FloatArray
+    mid_height_mm: FloatArray
+    delivery: FloatArray
+    """Light per area in the resin, closest to the axis, per light per area in air in the plane of the axis."""
+
+
+def pixel_rays(
+    columns: int, rows: int, camera: Camera, optics: Optics | None, absorption_per_mm: float = 0.0
+) -> PixelRays:
+    """Return where the ray of every pixel runs in the resin and how much of its light arrives there.
+
+    The vial is a lens: it narrows what a pixel lights by the ratio of areas ``dx_v dz_mid / (dx_c dz_c)``.  Reflection
+    at both faces of the glass takes its share, and absorption over the half-chord up to the point closest to the axis.
+
+    Parameters
+    ----------
+    columns, rows
+        Of the image.
+    camera, optics
+        As the rig has them; no optics for light without a vial: all of it is delivered.
+    absorption_per_mm
+        Napierian, of the resin.
+    """
+    x_c = (np.arange(columns, dtype=np.float64) - camera.axis_column) * camera.pixel_mm
+    z_c = (camera.optical_row - np.arange(rows, dtype=np.float64))[:, None] * camera.pixel_mm
+    if optics is None:
+        x_c, z_c = np.tile(x_c, (rows, 1)), np.tile(z_c, (1, columns))
+        return PixelRays(x_c, np.zeros(x_c.shape), z_c, np.ones(x_c.shape))
+    rays = camera_to_virtual(x_c, z_c, optics)
+    half = camera.pixel_mm / 2
+    left, right = (camera_to_virtual(x_c + side, z_c, optics).virtual_x_mm for side in (-half, half))
+    lower, upper = (camera_to_virtual(x_c, z_c + side, optics).mid_height_mm for side in (-half, half))
+    area_ratio = (right - left) * (upper - lower) / camera.pixel_mm**2
+    half_chord = np.sqrt(np.maximum(optics.inner_radius_mm**2 - rays.virtual_x_mm**2, 0)) * np.sqrt(1 + rays.slope**2)
+    share = transmission(x_c, z_c, optics) * np.exp(-absorption_per_mm * half_chord)
+    delivery = np.nan_to_num(share / area_ratio, nan=0.0, posinf=0.0)
+    return PixelRays(rays.virtual_x_mm, rays.direction_rad, rays.mid_height_mm, delivery)

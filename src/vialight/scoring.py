@@ -1,0 +1,230 @@
+"""Stage: what finished patterns do, whoever computed them.
+
+The judge of every method: it knows only grey levels, angles and the rig.  Pixels are square, patterns are held over
+their angle, and the dose of a voxel is the mean over sub-voxels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, Grid, centred
+from vialight.config import Rig
+from vialight.plan import Patterns
+from vialight.refraction import camera_to_virtual, virtual_to_camera
+from vialight.strips import StripGeometry, backproject_strips
+from vialight.viewing import pixel_rays, ray_tilt
+
+TURN_RAD = 2 * np.pi
+
+SUBVOXELS = 3
+"""Along x and along y, and stage angles for each pattern."""
+
+_SLICES_A_BLOCK = 16
+
+
+def dose_of_patterns(
+    patterns: Patterns, rig: Rig, grid: Grid, *, subvoxels: int = SUBVOXELS, climbing: bool = True
+) -> Float32Array:
+    """Compute the dose that patterns make in one turn, block by block of slices.
+
+    Parameters
+    ----------
+    patterns
+        Of any origin.
+    rig
+        That shows them: it may be another than they were computed for.
+    grid
+        Voxels wanted.
+    subvoxels
+        Along x and y.
+    climbing
+        Follow the rays' climb in z; else light stays in the slice in which it passes the axis.
+
+    Returns
+    -------
+    numpy.ndarray
+        (z, y, x) float32, 1 being the dose that is meant inside the part.
+    """
+    optics = rig.writing_optics()
+    spacing = grid.voxel_mm / subvoxels
+    radius = float(np.hypot(grid.x_mm[-1], grid.y_mm[-1])) + grid.voxel_mm
+    if optics is not None:
+        radius = min(radius, optics.field_radius_mm)
+    s_mm = centred(2 * int(radius / spacing), spacing)
+    tilt = None if optics is None else ray_tilt(s_mm, optics)
+    held = patterns.step_rad / subvoxels
+    psi = (np.arange(len(patterns.angles_rad) * subvoxels, dtype=np.float64) + 0.5) * held
+    fine = Grid((grid.shape[0], grid.shape[1] * subvoxels, grid.shape[2] * subvoxels), spacing, grid.centre_z_mm)
+    dose = np.empty(grid.shape, np.float32)
+    largest_climb = 0.0 if tilt is None or not climbing else float(tilt.max()) * radius * np.abs(grid.z_mm).max()
+    margin = int(np.ceil(largest_climb / grid.voxel_mm)) + 1 if climbing and tilt is not None else 0
+    for start in range(0, grid.shape[0], _SLICES_A_BLOCK):
+        stop = min(start + _SLICES_A_BLOCK, grid.shape[0])
+        z_mm = grid.z_mm[0] + np.arange(start - margin, stop + margin, dtype=np.float64) * grid.voxel_mm
+        geometry = StripGeometry(
+            psi, float(s_mm[0]), spacing, len(s_mm), fine.x_mm, fine.y_mm, rig.resin.absorption_per_mm or 0.0, tilt,
+            z_mm if margin else None,
+        )  # fmt: skip
+        lit = backproject_strips(light_of_patterns(patterns, rig, psi, s_mm, z_mm), geometry)
+        lit = lit[:, :, margin : lit.shape[2] - margin]
+        mean = lit.reshape(grid.shape[1], subvoxels, grid.shape[2], subvoxels, stop - start).mean(axis=(1, 3))
+        dose[start:stop] = mean.transpose(2, 0, 1) * np.float32(held)
+    return dose
+
+
+def light_of_patterns(
+    patterns: Patterns, rig: Rig, psi_rad: FloatArray, s_mm: FloatArray, z_mm: FloatArray
+) -> Float32Array:
+    """Return the light of patterns as parallel rays in the resin, where they pass closest to the axis.
+
+    Parameters
+    ----------
+    patterns, rig
+        As for `dose_of_patterns`.
+    psi_rad, s_mm, z_mm
+        Angles, positions and mid-heights wanted.
+
+    Returns
+    -------
+    numpy.ndarray
+        (psi, s, z) float32, dose per radian.
+    """
+    projector, optics = rig.need_projector(), rig.writing_optics()
+    camera = projector.as_camera()
+    absorption = rig.resin.absorption_per_mm or 0.0
+    rays = pixel_rays(projector.columns, projector.rows, camera, optics, absorption)
+    column, row, direction = _pixels_of(s_mm, z_mm, rig)
+    out = np.zeros((len(psi_rad), len(s_mm), len(z_mm)), np.float32)
+    step = patterns.step_rad
+    _look_up(
+        patterns.levels, patterns.first_row, patterns.first_column, row, column, direction,
+        (psi_rad + np.radians(projector.azimuth_deg) - patterns.angles_rad[0]) / step, step,
+        (rays.delivery * patterns.dose_rate_per_level).astype(np.float32), out,
+    )  # fmt: skip
+    return out
+
+
+def _pixels_of(s_mm: FloatArray, z_mm: FloatArray, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return, as (s, z), the fractional column and row that light a ray, and its direction; NaN where none does."""
+    camera, optics = rig.need_projector().as_camera(), rig.writing_optics()
+    if optics is None:
+        x_c, z_c = np.broadcast_arrays(s_mm[:, None], z_mm)
+        direction = np.zeros(x_c.shape)
+    else:
+        x_c, z_c = virtual_to_camera(s_mm[:, None], z_mm, optics)
+        direction = camera_to_virtual(x_c, z_c, optics).direction_rad
+    return x_c / camera.pixel_mm + camera.axis_column, camera.optical_row - z_c / camera.pixel_mm, direction
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _look_up(
+    levels: NDArray[np.uint8],
+    first_row: int,
+    first_column: int,
+    row: FloatArray,
+    column: FloatArray,
+    direction: FloatArray,
+    turned: FloatArray,
+    step: float,
+    per_level: Float32Array,
+    out: Float32Array,
+) -> None:
+    """Read, for every ray, the pixel that lights it, of the pattern that is then shown."""
+    count, rows, columns = levels.shape
+    for p in prange(len(turned)):
+        for i in range(out.shape[1]):
+            for z in range(out.shape[2]):
+                if not np.isfinite(row[i, z] + column[i, z] + direction[i, z]):
+                    continue
+                r, c = int(np.floor(row[i, z] + 0.5)), int(np.floor(column[i, z] + 0.5))
+                if first_row <= r < first_row + rows and first_column <= c < first_column + columns:
+                    k = int(np.floor(turned[p] - direction[i, z] / step + 0.5)) % count
+                    out[p, i, z] = per_level[r, c] * levels[k, r - first_row, c - first_column]
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a dose does to a part, as the field defines it.
+
+    Doses are divided by the largest in-part dose, as by VAMToolbox, unless stated otherwise.
+
+    Parameters
+    ----------
+    voxel_error_rate
+        Share of all judged voxels that are void and get as much dose as the least exposed voxel of the part.
+    process_window
+        Least in-part dose minus largest void dose: positive where some dose separates the two.
+    in_part_dose_range
+        Largest minus least in-part dose.
+    jaccard
+        Of the part and what cures, at the best threshold.
+    best_threshold
+        Dose, in units of what is meant in the part, at which that is.
+    in_part_mean, in_part_std, void_max
+        Dose, in the same units.
+    light_efficiency
+        Mean level over all pixels that light the write volume, as a share of the brightest.
+    """
+
+    voxel_error_rate: float
+    process_window: float
+    in_part_dose_range: float
+    jaccard: float
+    best_threshold: float
+    in_part_mean: float
+    in_part_std: float
+    void_max: float
+    light_efficiency: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures under their names."""
+        return asdict(self)
+
+
+def score_dose(dose: Float32Array, inside: Float32Array, judged: BoolArray, patterns: Patterns | None = None) -> Score:
+    """Judge a dose against the part that was meant.
+
+    Parameters
+    ----------
+    dose, inside
+        (z, y, x); the share of each voxel inside the part, which from 1/2 on is meant to cure.
+    judged
+        (z, y, x) or broadcastable: voxels that count, those that light can reach.
+    patterns
+        For the light efficiency.
+
+    Examples
+    --------
+    >>> dose = np.array([[[1.0, 0.9, 0.5, 0.2]]], np.float32)
+    >>> score = score_dose(dose, np.array([[[1, 1, 0, 0]]], np.float32), np.ones((1, 1, 4), bool))
+    >>> score.jaccard, round(score.process_window, 3), round(score.in_part_dose_range, 3)
+    (1.0, 0.4, 0.1)
+    """
+    judged = np.broadcast_to(judged, dose.shape)
+    part = (inside >= 0.5) & judged
+    in_part, in_void = np.sort(dose[part]), np.sort(dose[judged & ~part])
+    least, largest = float(in_part[0]), float(in_part[-1])
+    void_max = float(in_void[-1]) if len(in_void) else 0.0
+    overlap = len(in_void) - int(np.searchsorted(in_void, least))
+    # Every in-part dose is tried as a threshold: what cures is all that gets at least that.
+    cured_part = len(in_part) - np.arange(len(in_part))
+    cured_void = len(in_void) - np.searchsorted(in_void, in_part)
+    jaccard = cured_part / (len(in_part) + cured_void)
+    best = int(jaccard.argmax())
+    return Score(
+        voxel_error_rate=overlap / int(judged.sum()),
+        process_window=(least - void_max) / largest,
+        in_part_dose_range=(largest - least) / largest,
+        jaccard=float(jaccard[best]),
+        best_threshold=float(in_part[best]),
+        in_part_mean=float(in_part.mean(dtype=np.float64)),
+        in_part_std=float(in_part.std(dtype=np.float64)),
+        void_max=void_max,
+        light_efficiency=float(patterns.levels.mean(dtype=np.float64) / 255) if patterns is not None else float("nan"),
+    )
