@@ -163,7 +163,9 @@ class RaytracedCamera:
         return np.concatenate([np.stack(rendered)] * symmetry)
 
 
-def photograph(expected: FloatArray, rng: np.random.Generator, *, offset: float = 0.0) -> NDArray[np.uint16]:
-    """Count photons and read them out: Poisson noise, `READ_NOISE`, an offset, whole numbers."""
+def photograph(
+    expected: FloatArray, rng: np.random.Generator, *, offset: float | FloatArray = 0.0
+) -> NDArray[np.uint16]:
+    """Count photons and read them out: Poisson noise, `READ_NOISE`, an offset for each pixel, whole numbers."""
     counts = rng.poisson(expected) + rng.normal(offset, READ_NOISE, expected.shape)
     return np.clip(np.rint(counts), 0, np.iinfo(np.uint16).max).astype(np.uint16)

@@ -21,7 +21,9 @@ from vialight.surface import isosurface
 
 CENTRE, RADIUS, HALF_HEIGHT = (2.5, -1.5), 2.4, 2.5
 ROWS, COLUMNS, ANGLES = 44, 176, 120
-OFFSET = 20
+STRAY_LIGHT = np.where(np.abs(np.arange(COLUMNS) - 97) < 3, 300, 20) * np.ones((ROWS, 1))
+"""An offset and a bright streak, which would be a ring in the volume."""
+
 RIG = Rig(
     vial=Vial(outer_radius_mm=12.4, wall_mm=1.1, wall_index=1.472),
     resin=Resin(index_imaging=1.48),
@@ -50,8 +52,8 @@ def recording(traced: tuple[FloatArray, FloatArray], tmp_path_factory: pytest.Te
     """A noisy recording of the cylinder, over stray light."""
     path = tmp_path_factory.mktemp("recording") / "frames.h5"
     counts, angles = traced
-    dark = np.full((ROWS, COLUMNS), OFFSET, np.uint16)
-    write_frames(path, photograph(counts, np.random.default_rng(0), offset=OFFSET), angles, dark=dark)
+    dark = STRAY_LIGHT.astype(np.uint16)
+    write_frames(path, photograph(counts, np.random.default_rng(0), offset=STRAY_LIGHT), angles, dark=dark)
     return path
 
 
@@ -103,9 +105,7 @@ def test_a_stage_that_counts_clockwise_gives_the_same_volume(
     traced: tuple[FloatArray, FloatArray], recording: Path, tmp_path: Path
 ) -> None:
     with open_frames(recording) as frames:
-        write_frames(
-            tmp_path / "f.h5", frames.read(slice(None)), -traced[1], dark=np.full((ROWS, COLUMNS), OFFSET, np.uint16)
-        )
+        write_frames(tmp_path / "f.h5", frames.read(slice(None)), -traced[1], dark=STRAY_LIGHT.astype(np.uint16))
     clockwise = RIG.model_copy(update={"stage": Stage(direction=-1)})
     grid = Grid((3, 80, 80), 0.2)
     volume = volume_of(tmp_path / "f.h5", rig=clockwise, grid=grid)
