@@ -1,20 +1,15 @@
-"""What each command does, files in and files out; the command line only parses.
-
-Every function returns what it wrote as JSON, and writes all of its products or none.
-"""
+"""Reconstruct a recording; measure a surface."""
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from vialight import __version__
+from vialight.commands.provenance import inputs_json, versions
 from vialight.config import Rig, load_rig
 from vialight.diagnostics import Picture, optics_pictures
 from vialight.errors import InputError
@@ -23,7 +18,6 @@ from vialight.pipeline import Progress, Scan, Settings, open_scan, reconstruct
 from vialight.store import (
     open_frames,
     read_json,
-    sha256_of,
     staged_folder,
     write_json,
     write_ply,
@@ -42,8 +36,6 @@ VOLUME = "volume.zarr"
 PICTURES = "pictures"
 METRICS = "metrics.json"
 REPORT = "report.html"
-
-_NAMED_VERSIONS = ("numpy", "numba", "scipy", "libigl", "small-gicp", "vtk", "zarr", "h5py")
 
 
 def reconstruct_recording(
@@ -98,7 +90,7 @@ def reconstruct_recording(
             write_stl(folder / SURFACE, surface)
         _write_pictures(folder / PICTURES, pictures)
         result = {
-            "inputs": _inputs(frames=frames_path, rig=rig_path),
+            "inputs": inputs_json(frames=frames_path, rig=rig_path),
             "rig": rig.model_dump(mode="json", by_alias=True, exclude_none=True),
             "settings": _settings_json(settings, scan, volume, threshold),
             "volume": _volume_json(volume, unit),
@@ -152,7 +144,7 @@ def measure_surface(
     measured, reference = load_mesh(surface_path), load_mesh(reference_path)
     comparison = compare(measured, reference, align=align, tolerance_mm=tolerance_mm)
     result = {
-        "inputs": _inputs(print=surface_path, reference=reference_path),
+        "inputs": inputs_json(print=surface_path, reference=reference_path),
         "settings": {"align": align, "tolerance_mm": tolerance_mm},
         **comparison.to_json(),
         "versions": versions(),
@@ -162,13 +154,6 @@ def measure_surface(
         _write_deviation(folder / "deviation.ply", comparison)
         _write_report(folder / REPORT, comparison, result, _read_pictures(measured_path))
     return result
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of vialight, Python and the parts that numbers depend on."""
-    return {"vialight": __version__, "python": platform.python_version()} | {
-        name: version(name) for name in _NAMED_VERSIONS
-    }
 
 
 def _threshold(rig: Rig, settings: Settings, threshold: float | None) -> float | None:
@@ -187,10 +172,6 @@ def _threshold(rig: Rig, settings: Settings, threshold: float | None) -> float |
             accepted="the same binning", remedy="give --threshold for this binning",
         )  # fmt: skip
     return rig.resin.threshold
-
-
-def _inputs(**paths: str | Path) -> dict[str, dict[str, str]]:
-    return {role: {"file": Path(path).name, "sha256": sha256_of(path)} for role, path in paths.items()}
 
 
 def _settings_json(settings: Settings, scan: Scan, volume: Volume, threshold: float | None) -> dict[str, Any]:

@@ -1,0 +1,8 @@
+"""What each command does, files in and files out; the command line only parses.
+
+Every function returns what it wrote as JSON, and writes all of its products or none.
+"""
+
+from vialight.commands.measuring import measure_surface, reconstruct_recording
+
+__all__ = ["measure_surface", "reconstruct_recording"]
