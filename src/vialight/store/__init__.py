@@ -1,28 +1,38 @@
-"""Every run file of vialight: frames, volumes, meshes, results, and folders that fill all at once.
+"""Every run file of vialight: frames, volumes, plans, meshes, results, and folders that fill all at once.
 
 Importing this is cheap: h5py, hdf5plugin and zarr are imported when a file is opened.
 """
 
+from vialight.store.exports import export_mp4, export_png
 from vialight.store.folders import staged_file, staged_folder
 from vialight.store.frames import FrameFile, open_frames
 from vialight.store.meshes import write_ply, write_stl
+from vialight.store.plans import read_plan, write_plan
+from vialight.store.projections import read_projections
 from vialight.store.recording import FrameWriter, write_frames
 from vialight.store.results import read_json, sha256_of, to_json, write_json
+from vialight.store.rigs import rig_to_toml
 from vialight.store.volumes import VolumeWriter, read_volume, write_volume
 
 __all__ = [
     "FrameFile",
     "FrameWriter",
     "VolumeWriter",
+    "export_mp4",
+    "export_png",
     "open_frames",
     "read_json",
+    "read_plan",
+    "read_projections",
     "read_volume",
+    "rig_to_toml",
     "sha256_of",
     "staged_file",
     "staged_folder",
     "to_json",
     "write_frames",
     "write_json",
+    "write_plan",
     "write_ply",
     "write_stl",
     "write_volume",
