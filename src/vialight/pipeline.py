@@ -200,7 +200,7 @@ def reconstruct(
     read = _row_window(scan)
     for start in range(0, grid.shape[0], SLICES_A_BLOCK):
         block = slice(start, min(start + SLICES_A_BLOCK, grid.shape[0]))
-        density[block] = _reconstruct_block(scan, beam, grid, grid.z_mm[block], settings, read)
+        _reconstruct_block(scan, beam, grid, grid.z_mm[block], settings, read, density[block])
         np.copyto(density[block], 0, where=outside)
         if progress:
             progress(block.stop, grid.shape[0])
@@ -208,8 +208,14 @@ def reconstruct(
 
 
 def _reconstruct_block(
-    scan: Scan, beam: ParallelBeam, grid: Grid, z_mm: FloatArray, settings: Settings, read: RowReader
-) -> Float32Array:
+    scan: Scan,
+    beam: ParallelBeam,
+    grid: Grid,
+    z_mm: FloatArray,
+    settings: Settings,
+    read: RowReader,
+    density: Float32Array,
+) -> None:
     heights, tilt = z_mm, None
     if settings.accurate and scan.optics is not None:
         tilt = ray_tilt(beam.virtual_x_mm, scan.optics)
@@ -217,10 +223,11 @@ def _reconstruct_block(
     rows = rows_seen(heights, scan.shape[0], scan.camera, scan.optics)
     sinogram = resample(read(rows), rows.start, scan.angles_rad, scan.camera, scan.optics, beam, heights)
     if tilt is None:
-        return reconstruct_slices(sinogram, beam, grid.x_mm, grid.y_mm, filter_name=settings.filter_name)
-    return reconstruct_tilted(
-        sinogram, beam, heights, tilt, grid.x_mm, grid.y_mm, z_mm, filter_name=settings.filter_name
-    )
+        reconstruct_slices(sinogram, beam, grid.x_mm, grid.y_mm, filter_name=settings.filter_name, out=density)
+    else:
+        density[:] = reconstruct_tilted(
+            sinogram, beam, heights, tilt, grid.x_mm, grid.y_mm, z_mm, filter_name=settings.filter_name
+        )
 
 
 def _heights_of_climbing_rays(z_mm: FloatArray, voxel_mm: float, largest_climb: float) -> FloatArray:

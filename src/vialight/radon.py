@@ -80,6 +80,8 @@ def backproject(
     spacing_mm: float,
     x_mm: FloatArray,
     y_mm: FloatArray,
+    *,
+    slices: Float32Array | None = None,
 ) -> Float32Array:
     """Smear filtered projections back over their rays and sum them.
 
@@ -93,18 +95,21 @@ def backproject(
         Position of the first sample and distance between samples.
     x_mm, y_mm
         Pixel centres.
+    slices
+        (z, y, x) contiguous float32 memory for the result; by default new memory.
 
     Returns
     -------
     numpy.ndarray
-        (y, x, z) float32: the plain sum over angles, linearly interpolated in s; what lies outside the samples counts
-        as zero.
+        (y, x, z) float32, a view of (z, y, x): the plain sum over angles, linearly interpolated in s; what lies outside
+        the samples counts as zero.
     """
     psi_rad = np.concatenate([psi_rad, np.zeros(-len(psi_rad) % _ANGLES_A_PASS)])
     cosine, sine = np.cos(psi_rad) / spacing_mm, np.sin(psi_rad) / spacing_mm
-    total = np.empty((filtered.shape[2], len(y_mm), len(x_mm)), np.float32)
-    _backproject(_padded(filtered), cosine, sine, first_s_mm / spacing_mm, x_mm, y_mm, total)
-    return total.transpose(1, 2, 0)
+    if slices is None:
+        slices = np.empty((filtered.shape[2], len(y_mm), len(x_mm)), np.float32)
+    _backproject(_padded(filtered), cosine, sine, first_s_mm / spacing_mm, x_mm, y_mm, slices)
+    return slices.transpose(1, 2, 0)
 
 
 def _padded(filtered: Float32Array) -> Float32Array:

@@ -17,6 +17,7 @@ def reconstruct_slices(
     y_mm: FloatArray,
     *,
     filter_name: FilterName = DEFAULT_FILTER,
+    out: Float32Array | None = None,
 ) -> Float32Array:
     """Filter and backproject a sinogram, slice by slice.
 
@@ -33,6 +34,8 @@ def reconstruct_slices(
         Voxel centres.
     filter_name
         See `vialight.radon.ramp_filter`.
+    out
+        (z, y, x) contiguous float32 memory for the result; by default new memory.
 
     Returns
     -------
@@ -45,7 +48,8 @@ def reconstruct_slices(
     np.add(by_ray[:, :half], by_ray[::-1, half:], out=folded)
     filtered = _filter(folded, beam, filter_name)
     first = float(beam.virtual_x_mm[0])
-    return backproject(filtered, beam.psi_rad[:half], first, beam.spacing_mm, x_mm, y_mm).transpose(2, 0, 1)
+    made = backproject(filtered, beam.psi_rad[:half], first, beam.spacing_mm, x_mm, y_mm, slices=out)
+    return made.transpose(2, 0, 1)
 
 
 def reconstruct_tilted(
