@@ -91,6 +91,7 @@ class Resin(_Table):
     index_imaging: Index | None = None
     index_writing: Index | None = None
     absorption_per_mm: NotNegative | None = None
+    critical_exposure_mj_per_cm2: Length | None = None
     threshold: Length | None = None
     threshold_conditions: ThresholdConditions | None = None
 

@@ -4,5 +4,6 @@ Every function returns what it wrote as JSON, and writes all of its products or 
 """
 
 from vialight.commands.measuring import measure_surface, reconstruct_recording
+from vialight.commands.planning import PlanSettings, plan_part, score_plan
 
-__all__ = ["measure_surface", "reconstruct_recording"]
+__all__ = ["PlanSettings", "measure_surface", "plan_part", "reconstruct_recording", "score_plan"]

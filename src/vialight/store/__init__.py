@@ -12,11 +12,13 @@ from vialight.store.projections import read_projections
 from vialight.store.recording import FrameWriter, write_frames
 from vialight.store.results import read_json, sha256_of, to_json, write_json
 from vialight.store.rigs import rig_to_toml
+from vialight.store.states import SavedState, read_state, write_state
 from vialight.store.volumes import VolumeWriter, read_volume, write_volume
 
 __all__ = [
     "FrameFile",
     "FrameWriter",
+    "SavedState",
     "VolumeWriter",
     "export_mp4",
     "export_png",
@@ -24,6 +26,7 @@ __all__ = [
     "read_json",
     "read_plan",
     "read_projections",
+    "read_state",
     "read_volume",
     "rig_to_toml",
     "sha256_of",
@@ -34,6 +37,7 @@ __all__ = [
     "write_json",
     "write_plan",
     "write_ply",
+    "write_state",
     "write_stl",
     "write_volume",
 ]
