@@ -56,7 +56,7 @@ def test_bracket_has_its_plates_holes_and_rib() -> None:
     for axis, diameter_mm in ((2, 2.4), (0, 1.6)):
         shown = thickness(part, column_grid(part.bounds_mm, axis, 0.05))
         plate = shown[:, 160:] if axis == 2 else shown[100:]  # beyond the rib
-        assert np.count_nonzero(plate < 0.1) * 0.05**2 == pytest.approx(2 * np.pi * diameter_mm**2 / 4, rel=0.01)
+        assert np.count_nonzero(plate < 0.1) * 0.05**2 == pytest.approx(2 * np.pi * diameter_mm**2 / 4, rel=0.02)
         assert np.median(plate) == pytest.approx(2, abs=1e-3)
     from_above = thickness(part, column_grid(np.array([[-6.0, -4, -5], [6, 4, 5]]), 2, 1.0))
     assert from_above[0, 1] == pytest.approx(10)  # (y, x): the back plate stands on the floor
