@@ -20,41 +20,11 @@ from vialight.config import Optics, Rig
 from vialight.errors import InputError
 from vialight.plan import Patterns
 from vialight.twin.lightfield import LightField, light_field
+from vialight.twin.poses import Pose
 
 _PATTERNS_A_BLOCK = 32
 _BORDER = 2
 """Black pixels round a pattern, so that interpolation ends in darkness."""
-
-
-@dataclass(frozen=True)
-class Pose:
-    """How the object stands in the lab: turned, and off the ideal axis by the stage's faults.
-
-    A point goes from the object to the lab by a turn of `angle_rad` about z, a small rotation that tilts the axis by
-    `tilt_rad` towards lab x and y, and a shift.
-
-    Parameters
-    ----------
-    angle_rad
-        Turn, counter-clockwise seen from above.
-    shift_mm
-        Lab x and y of the axis at z = 0.
-    tilt_rad
-        How far the axis leans towards lab x and y, small.
-    """
-
-    angle_rad: float
-    shift_mm: tuple[float, float] = (0.0, 0.0)
-    tilt_rad: tuple[float, float] = (0.0, 0.0)
-
-    def seen_from(self, azimuth_rad: float) -> tuple[float, float, float, float, float]:
-        """Return turn, shift and tilt as a device at an azimuth sees them."""
-        cosine, sine = np.cos(azimuth_rad), np.sin(azimuth_rad)
-        (x, y), (u, v) = self.shift_mm, self.tilt_rad
-        return (
-            self.angle_rad - azimuth_rad,
-            cosine * x + sine * y, cosine * y - sine * x, cosine * u + sine * v, cosine * v - sine * u,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)

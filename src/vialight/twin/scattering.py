@@ -20,8 +20,8 @@ class Scattering:
     Parameters
     ----------
     counts_per_mm
-        Density of fully scattering resin, in counts of an unbinned pixel per mm of path, at the exposure and light
-        that the rig is meant for; assumed.
+        Density of fully scattering resin, in counts of one of the rig's pixels per mm of path, at the exposure and
+        light that the rig is meant for; assumed, as in the shared cases.
     middle_conversion
         Conversion at which half of it is reached; assumed.
     steepness
@@ -33,7 +33,7 @@ class Scattering:
     array([  0., 100., 200.], dtype=float32)
     """
 
-    counts_per_mm: float = 12.5
+    counts_per_mm: float = 200.0
     middle_conversion: float = 0.15
     steepness: float = 12.0
 
