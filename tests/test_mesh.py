@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from collections.abc import Callable
@@ -51,29 +50,44 @@ def test_binary_stl_whose_header_says_solid_is_read(stl: Path) -> None:
     assert len(load_mesh(stl).faces) == len(SPHERE.faces)
 
 
-def test_3mf_is_read_in_mm_or_says_what_it_needs(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("unit", "in_mm"), [("inch", 25.4), ("meter", 1000), ("micron", 0.001), (None, 1)])
+def test_3mf_is_read_in_mm(tmp_path: Path, unit: str | None, in_mm: float) -> None:
     path = tmp_path / "part.3mf"
-    _write_3mf(path, unit="inch")
-    if importlib.util.find_spec("lxml") is None:
-        with pytest.raises(InputError, match="needs the package lxml"):
-            load_mesh(path)
-    else:
-        np.testing.assert_allclose(load_mesh(path).extents_mm, 25.4)
+    _write_3mf(path, unit)
+    np.testing.assert_allclose(load_mesh(path).extents_mm, in_mm)
 
 
-def _write_3mf(path: Path, unit: str) -> None:
+def test_3mf_is_read_as_it_is_to_be_built(tmp_path: Path) -> None:
+    path = tmp_path / "part.3mf"
+    _write_3mf(path, "inch", '<item objectid="1"/><item objectid="1" transform="-1 0 0 0 1 0 0 0 1 5 0 0"/>')
+    mesh = load_mesh(path)
+    np.testing.assert_allclose(mesh.bounds_mm, np.array([[0, 0, 0], [5, 1, 1]]) * 25.4)
+    assert mesh.volume_mm3 == pytest.approx(2 * 25.4**3 / 6)  # a mirrored object is not inside out
+
+
+def test_a_missing_package_is_named(stl: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def load(*_: object, **__: object) -> None:
+        raise ModuleNotFoundError("No module named 'lxml'")
+
+    monkeypatch.setattr(trimesh, "load_mesh", load)
+    with pytest.raises(InputError, match="needs the package lxml"):
+        load_mesh(stl)
+
+
+def _write_3mf(path: Path, unit: str | None, items: str = '<item objectid="1"/>') -> None:
     import zipfile
 
+    stated = f'unit="{unit}"' if unit else ""
     corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
     triangles = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
     model = (
-        f'<?xml version="1.0"?><model unit="{unit}" '
+        f'<?xml version="1.0"?><model {stated} '
         'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources><object id="1" type="model">'
         "<mesh><vertices>"
         + "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in corners)
         + "</vertices><triangles>"
         + "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles)
-        + '</triangles></mesh></object></resources><build><item objectid="1"/></build></model>'
+        + f"</triangles></mesh></object></resources><build>{items}</build></model>"
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("3D/3dmodel.model", model)
