@@ -1,0 +1,155 @@
+"""Resins and printers that come with vialight, as TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, fields
+from importlib.resources import as_file, files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from vialight.config import Resin, Rig, load_rig
+from vialight.errors import InputError
+from vialight.twin.chemistry import Chemistry
+from vialight.twin.scattering import Scattering
+
+_Table = TypeVar("_Table", Chemistry, Scattering)
+
+
+@dataclass(frozen=True)
+class ResinModel:
+    """All that the twin knows of a resin.
+
+    Parameters
+    ----------
+    optical
+        Indices and absorption, as a rig states them.
+    chemistry, scattering
+        How it cures and how that looks.
+    """
+
+    optical: Resin
+    chemistry: Chemistry
+    scattering: Scattering
+
+    def in_vial_of(self, rig: Rig) -> Rig:
+        """Return the rig with this resin in its vial; thresholds, which belong to the camera, stay the rig's."""
+        kept = {"threshold": rig.resin.threshold, "threshold_conditions": rig.resin.threshold_conditions}
+        return rig.model_copy(update={"resin": self.optical.model_copy(update=kept)})
+
+    @property
+    def absorption_per_mm(self) -> float:
+        """Napierian absorption at the writing wavelength."""
+        assert self.optical.absorption_per_mm is not None  # load_resin has seen to it
+        return self.optical.absorption_per_mm
+
+
+def resin_names() -> list[str]:
+    """Return the resins that come with vialight.
+
+    Examples
+    --------
+    >>> resin_names()
+    ['BPAGDA', 'DUDMA']
+    """
+    return _names("resins")
+
+
+def rig_names() -> list[str]:
+    """Return the printers that come with vialight.
+
+    Examples
+    --------
+    >>> rig_names()
+    ['orth2022-145', 'orth2022-190']
+    """
+    return _names("rigs")
+
+
+def load_resin(name: str | Path) -> ResinModel:
+    """Read a resin: one of `resin_names`, or a TOML file of the same tables.
+
+    Raises
+    ------
+    InputError
+        There is no such resin, or the file holds unknown, missing or impossible values.
+
+    Examples
+    --------
+    >>> load_resin("DUDMA").optical.index_writing
+    1.49
+    """
+    table, where = _read(name, "resins", resin_names())
+    unknown = sorted(set(table) - {"resin", "chemistry", "scattering"})
+    if unknown:
+        raise InputError(where, f"unknown key {unknown[0]}", accepted="[resin], [chemistry], [scattering]")
+    try:
+        optical = Resin.model_validate(table.get("resin", {}))
+    except ValidationError as error:
+        fault = error.errors()[0]
+        raise InputError(
+            f"{where} [resin]", f"{fault['loc'][0]} is {fault['input']!r}", accepted=fault["msg"], remedy="correct it"
+        ) from error
+    for key in ("index_imaging", "index_writing", "absorption_per_mm"):
+        if getattr(optical, key) is None:
+            raise InputError(f"{where} [resin]", f"key {key} is missing", remedy="add it")
+    return ResinModel(
+        optical,
+        _dataclass(Chemistry, table.get("chemistry", {}), f"{where} [chemistry]"),
+        _dataclass(Scattering, table.get("scattering", {}), f"{where} [scattering]"),
+    )
+
+
+def find_rig(name: str | Path) -> Rig:
+    """Read a rig: a TOML file, or one of `rig_names`.
+
+    Raises
+    ------
+    InputError
+        There is no such rig, or the file cannot be used.
+
+    Examples
+    --------
+    >>> find_rig("orth2022-145").need_camera().pixel_mm
+    0.1125
+    """
+    preset = files(__name__) / "rigs" / f"{name}.toml"
+    if Path(name).exists() or not preset.is_file():
+        return load_rig(name)
+    with as_file(preset) as path:
+        return load_rig(path)
+
+
+def _names(kind: str) -> list[str]:
+    return sorted(Path(entry.name).stem for entry in (files(__name__) / kind).iterdir() if entry.name.endswith(".toml"))
+
+
+def _read(name: str | Path, kind: str, known: list[str]) -> tuple[dict[str, Any], str]:
+    preset = files(__name__) / kind / f"{name}.toml"
+    source: Traversable | Path = preset if preset.is_file() else Path(name)
+    try:
+        return tomllib.loads(source.read_text(encoding="utf-8")), str(name)
+    except OSError as error:
+        raise InputError(
+            name, f"cannot be read ({error.strerror})", accepted=f"{', '.join(known)}, or a TOML file",
+            remedy="check the name",
+        ) from error  # fmt: skip
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(
+            name, f"is not TOML ({error})", accepted="a resin in TOML", remedy="see docs/twin.md"
+        ) from error
+
+
+def _dataclass(kind: type[_Table], table: object, where: str) -> _Table:
+    names = [field.name for field in fields(kind)]
+    if not isinstance(table, dict):
+        raise InputError(where, f"is {table!r}", accepted=f"a table of {', '.join(names)}")
+    for key, value in table.items():
+        if key not in names:
+            raise InputError(where, f"unknown key {key}", accepted=", ".join(names), remedy="correct or remove it")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(where, f"{key} is {value!r}", accepted="a number", remedy="correct it")
+    return kind(**{key: float(value) for key, value in table.items()})
