@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vialight.arrays import Float32Array, FloatArray, ParallelBeam
-from vialight.radon import FilterName, backproject, backproject_tilted, ramp_filter
+from vialight.radon import FilterName, backproject, backproject_tilted, filter_rays, ramp_filter
 
 DEFAULT_FILTER: FilterName = "cosine"
 
@@ -43,9 +43,7 @@ def reconstruct_slices(
         (z, y, x) float32, per mm.
     """
     half = len(beam.psi_rad) // 2
-    by_ray = sinogram.transpose(1, 0, 2)
-    folded = np.empty((by_ray.shape[0], half, by_ray.shape[2]), np.float32)
-    np.add(by_ray[:, :half], by_ray[::-1, half:], out=folded)
+    folded = sinogram[:half] + sinogram[half:, ::-1]
     filtered = _filter(folded, beam, filter_name)
     first = float(beam.virtual_x_mm[0])
     made = backproject(filtered, beam.psi_rad[:half], first, beam.spacing_mm, x_mm, y_mm, slices=out)
@@ -81,18 +79,15 @@ def reconstruct_tilted(
     numpy.ndarray
         (z, y, x) float32, per mm.
     """
-    filtered = np.ascontiguousarray(_filter(sinogram.transpose(1, 0, 2), beam, filter_name))
+    filtered = _filter(sinogram, beam, filter_name)
     first = float(beam.virtual_x_mm[0])
     return backproject_tilted(
         filtered, beam.psi_rad, first, beam.spacing_mm, tilt_per_mm, mid_height_mm, x_mm, y_mm, z_mm
     ).transpose(2, 0, 1)
 
 
-def _filter(by_ray: Float32Array, beam: ParallelBeam, filter_name: FilterName) -> Float32Array:
-    """Filter (x_v, psi, z) along x_v and return (psi, x_v, z)."""
+def _filter(sinogram: Float32Array, beam: ParallelBeam, filter_name: FilterName) -> Float32Array:
     # Full turn: every ray is there twice, so half the angular step counts.
     scale = np.float32(np.pi / len(beam.psi_rad))
-    matrix = ramp_filter(filter_name, len(by_ray), beam.spacing_mm) * scale
-    # One large product: one a view would have the processors wait for each other once a view.
-    filtered = (matrix @ by_ray.reshape(len(by_ray), -1)).reshape(by_ray.shape)
-    return np.asarray(filtered.transpose(1, 0, 2), dtype=np.float32)
+    matrix = ramp_filter(filter_name, sinogram.shape[1], beam.spacing_mm) * scale
+    return filter_rays(matrix, np.ascontiguousarray(sinogram, dtype=np.float32))
