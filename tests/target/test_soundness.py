@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from vialight.errors import InputError
 from vialight.mesh import Mesh
-from vialight.target import check_sound, intersecting_faces
+from vialight.target import check_sound, intersecting_faces, self_intersection
 
 
 def mesh_of(source: trimesh.Trimesh) -> Mesh:
@@ -111,6 +111,15 @@ def pierces(one: np.ndarray, two: np.ndarray) -> bool:
             if 0 < along < 1 and u > 0 and v > 0 and u + v < 1:
                 return True
     return False
+
+
+def test_faces_may_be_paired_in_any_portions(monkeypatch: pytest.MonkeyPatch) -> None:
+    vertices = BALL.vertices_mm * np.where(np.arange(len(BALL.vertices_mm)) % 50 == 7, -1.1, 1)[:, None]
+    folded = Mesh(vertices, BALL.faces)
+    whole = intersecting_faces(folded)
+    monkeypatch.setattr(self_intersection, "_PAIRS_AT_ONCE", 100)
+    assert len(whole)
+    assert set(map(tuple, intersecting_faces(folded).tolist())) == set(map(tuple, whole.tolist()))
 
 
 def test_a_large_mesh_is_checked_in_seconds() -> None:

@@ -7,6 +7,8 @@ in one stretch (Moeller, "A fast triangle-triangle intersection test", 1997).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from vialight.arrays import FloatArray, IntArray
@@ -37,16 +39,15 @@ def intersecting_faces(mesh: Mesh) -> IntArray:
     tolerance = _TOLERANCE * float(mesh.extents_mm.max())
     corners = mesh.corners_mm
     normals = mesh.face_normals
-    found = [np.empty((0, 2), dtype=np.int64)]
-    pairs = _overlapping_pairs(corners.min(axis=1), corners.max(axis=1))
-    for start in range(0, len(pairs), _PAIRS_AT_ONCE):
-        some = pairs[start : start + _PAIRS_AT_ONCE]
-        found.append(some[_cut_each_other(some, corners, normals, tolerance)])
-    return np.sort(np.concatenate(found), axis=1)
+    found = [
+        pairs[_cut_each_other(pairs, corners, normals, tolerance)]
+        for pairs in _overlapping_pairs(corners.min(axis=1), corners.max(axis=1))
+    ]
+    return np.sort(np.concatenate([np.empty((0, 2), dtype=np.int64), *found]), axis=1)
 
 
-def _overlapping_pairs(low: FloatArray, high: FloatArray) -> IntArray:
-    """Return (pairs, 2) indices of (n, 3) boxes that overlap."""
+def _overlapping_pairs(low: FloatArray, high: FloatArray) -> Iterator[IntArray]:
+    """Give, in portions, (pairs, 2) indices of (n, 3) boxes that overlap."""
     count = len(low)
     levels = max(1, int(np.ceil(np.log2(count))))
     order = np.argsort(_along_a_curve((low + high) / 2), kind="stable")
@@ -56,18 +57,28 @@ def _overlapping_pairs(low: FloatArray, high: FloatArray) -> IntArray:
     for _ in range(levels):
         lows.append(np.minimum(lows[-1][::2], lows[-1][1::2]))
         highs.append(np.maximum(highs[-1][::2], highs[-1][1::2]))
-    one, other = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
-    for low, high in zip(lows[-2::-1], highs[-2::-1], strict=True):
-        # Children of both; of a node paired with itself, the first with the second only once.
-        is_same = one == other
-        a = np.concatenate([2 * one, 2 * one, 2 * one[~is_same] + 1, 2 * one + 1])
-        b = np.concatenate([2 * other, 2 * other + 1, 2 * other[~is_same], 2 * other + 1])
-        for axis in range(3):
-            overlap = (low[a, axis] <= high[b, axis]) & (low[b, axis] <= high[a, axis])
-            a, b = a[overlap], b[overlap]
-        one, other = a, b
-    is_other = one != other
-    return np.stack([order[one[is_other]], order[other[is_other]]], axis=1)
+    waiting = [(levels, np.zeros((1, 2), dtype=np.int64))]
+    while waiting:
+        level, nodes = waiting.pop()
+        if level == 0:
+            yield order[nodes[nodes[:, 0] != nodes[:, 1]]]
+            continue
+        pairs = _overlapping_children(nodes, lows[level - 1], highs[level - 1])
+        # Deepest first and in portions: a fan of 10,000 faces makes 25 million pairs.
+        starts = range(0, len(pairs), _PAIRS_AT_ONCE)
+        waiting.extend((level - 1, pairs[start : start + _PAIRS_AT_ONCE]) for start in starts)
+
+
+def _overlapping_children(nodes: IntArray, low: FloatArray, high: FloatArray) -> IntArray:
+    """Pair the children of paired nodes; of a node paired with itself, its first with its second only once."""
+    one, other = nodes.T
+    differ = one != other
+    a = np.concatenate([2 * one, 2 * one, 2 * one[differ] + 1, 2 * one + 1])
+    b = np.concatenate([2 * other, 2 * other + 1, 2 * other[differ], 2 * other + 1])
+    for axis in range(3):
+        overlap = (low[a, axis] <= high[b, axis]) & (low[b, axis] <= high[a, axis])
+        a, b = a[overlap], b[overlap]
+    return np.stack([a, b], axis=1)
 
 
 def _along_a_curve(points: FloatArray) -> IntArray:
