@@ -18,6 +18,8 @@ from vialight.errors import InputError, VialightError, VialightWarning
 if TYPE_CHECKING:
     from types import FrameType
 
+    from vialight.commands import PlanSettings
+
 BAD_INPUT = 2
 FAILED = 1
 
@@ -101,6 +103,92 @@ def measure(
 
         result = measure_surface(surface, reference, out, align=align, tolerance_mm=tolerance)
         _show(result, as_json, lambda: _measurement_lines(result, out))
+
+
+@main.command()
+@click.argument("part", type=_FILE, required=False)
+@click.option("--rig", required=True, type=_FILE, help="The rig, TOML, with a projector and the resin's writing index.")
+@click.option("--out", type=_FILE, help="The plan, HDF5; .json and .html of the same name come beside it.")
+@click.option("--score", type=_FILE, help="Judge this plan's patterns under --rig instead of computing new ones.")
+@click.option(
+    "--method", type=click.Choice(["object-space", "osmo", "gradient", "normalised"]), default="object-space",
+    show_default=True, help="normalised is the paper's.",
+)  # fmt: skip
+@click.option("--passes", type=int, help="Of the method. [default: its own number]")
+@click.option("--angles", type=int, default=360, show_default=True, help="Patterns in a turn.")
+@click.option("--voxel", type=float, help="Edge of a voxel, mm. [default: the projector's pixel]")
+@click.option("--coverage", is_flag=True, help="Count voxels at the surface by the share of them that is inside.")
+@click.option("--flat", is_flag=True, help="Let light stay in its slice: quicker, wrong at the flat ends of a part.")
+@click.option(
+    "--void-limit", type=float, default=0.85, show_default=True, help="Dose that a void may get; the part: 1."
+)
+@click.option("--projector-blur", type=float, default=0.0, help="Standard deviation in the resin, mm, to be undone.")
+@click.option("--diffusion", type=float, default=0.0, help="Standard deviation of what diffuses, mm, to be undone.")
+@click.option("--background", type=float, default=0.5, show_default=True, help="Of normalised: level B of the void.")
+@click.option("--clip", type=float, help="Of normalised: level that projections are raised to. [default: B]")
+@click.option("--bound-void", is_flag=True, help="Of normalised: take the void's target as an upper bound.")
+@click.option("--rotate", type=(float, float, float), default=(0, 0, 0), help="About x, then y, then z, degrees.")
+@click.option("--scale", type=float, help="Scale the part; 1 says that its size is meant.")
+@click.option("--fit", is_flag=True, help="Scale the part to the largest that fits.")
+@click.option("--no-centre", is_flag=True, help="Leave the part where its file has it.")
+@click.option("--save-state", type=_FILE, help="Save where the method stands at the end, to --resume from.")
+@click.option("--resume", type=_FILE, help="Go on from a saved state.")
+@_as_json
+def plan(part: Path | None, rig: Path, out: Path | None, score: Path | None, as_json: bool, **options: Any) -> None:
+    """Compute the light patterns that print a PART (STL, PLY, OBJ, 3MF; mm).
+
+    Ctrl-C ends the computation with the best patterns so far; a second one gives up.
+
+    \b
+    Example:
+      vialight plan part.stl --rig printer.toml --out plan.h5
+      vialight plan --score plan.h5 --rig other.toml
+    """
+    with _faults_told():
+        from vialight.commands import plan_part, score_plan
+
+        if score is not None:
+            result = score_plan(score, rig)
+            _show(result, as_json, lambda: _plan_lines(result, None))
+            return
+        if part is None or out is None:
+            raise click.UsageError("give a PART and --out, or --score PLAN.h5")
+        with _progress("passes") as progress, _stopped_by_interrupt() as keep_going:
+            result = plan_part(
+                part, rig, out, settings=_plan_settings(options), resume=options["resume"],
+                save_state=options["save_state"], progress=progress, keep_going=keep_going,
+            )  # fmt: skip
+        _show(result, as_json, lambda: _plan_lines(result, out))
+
+
+def _plan_settings(options: dict[str, Any]) -> PlanSettings:
+    from vialight.commands import PlanSettings
+
+    return PlanSettings(
+        method=options["method"], passes=options["passes"], angles=options["angles"], voxel_mm=options["voxel"],
+        coverage=options["coverage"], void_limit=options["void_limit"], climbing=not options["flat"],
+        projector_blur_mm=options["projector_blur"], diffusion_mm=options["diffusion"],
+        background=options["background"], clip_level=options["clip"], bound_void=options["bound_void"],
+        rotate_deg=options["rotate"], scale=options["scale"], fit=options["fit"], centre=not options["no_centre"],
+    )  # fmt: skip
+
+
+@contextmanager
+def _stopped_by_interrupt() -> Iterator[Callable[[], bool]]:
+    """Yield a question that the first Ctrl-C answers with no; the second one interrupts as ever."""
+    asked_to_stop = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal asked_to_stop
+        asked_to_stop = True
+        click.echo("stopping after this pass with the best so far", err=True)
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield lambda: not asked_to_stop
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @main.command()
@@ -203,3 +291,22 @@ def _measurement_lines(result: dict[str, Any], out: Path) -> list[str]:
         verdict = "passed" if result["tolerance"]["passed"] else "FAILED"
         lines.append(f"tolerance {result['tolerance']['tolerance_mm']:g} mm: {verdict}")
     return [*lines, f"report: {out / 'report.html'}"]
+
+
+def _plan_lines(result: dict[str, Any], out: Path | None) -> list[str]:
+    metrics = result["metrics"]
+    rows = [
+        ("Jaccard index, best threshold", "jaccard", ""), ("best threshold, of the dose meant", "best_threshold", ""),
+        ("process window", "process_window", ""), ("in-part dose range", "in_part_dose_range", ""),
+        ("voxel error rate", "voxel_error_rate", ""), ("light efficiency", "light_efficiency", ""),
+        ("exposure a turn", "exposure_per_turn_mj_per_cm2", "mJ/cm^2"),
+        ("turns to the critical exposure", "turns_to_critical_exposure", ""),
+    ]  # fmt: skip
+    lines = [
+        f"{title:<34}{metrics[key]:12.4f} {unit}".rstrip() for title, key, unit in rows if metrics.get(key) is not None
+    ]
+    if out is None:
+        return lines
+    count, height, width = result["patterns"]["shape"]
+    lines.append(f"{count} patterns of {height} x {width} pixels after {metrics['passes']} passes: {out}")
+    return [*lines, f"report: {out.with_suffix('.html')}"]

@@ -74,14 +74,15 @@ def light_for(
     tilt_at
         (samples,) of `strip_positions`, see `StripGeometry.tilt_per_mm`.
     climbing
-        Let rays climb from slice to slice; else opposite projections are alike and only half of them are computed.
+        Let rays climb from slice to slice.
     projector_blur_mm, diffusion_mm
         See `Light`.
     """
     positions = strip_positions(
         max(grid.shape[1:]) / 2 * grid.voxel_mm if radius_mm is None else radius_mm, grid.voxel_mm
     )
-    count = angles if climbing else angles // 2
+    # Opposite projections are alike: only half of them are computed.
+    count = angles // 2
     geometry = StripGeometry(
         psi_rad=np.arange(count, dtype=np.float64) * (2 * np.pi / angles),
         first_s_mm=float(positions[0]),
@@ -92,7 +93,7 @@ def light_for(
         absorption_per_mm=absorption_per_mm,
         tilt_per_mm=tilt_at,
         z_mm=grid.z_mm if climbing else None,
-        from_both_sides=not climbing,
+        from_both_sides=True,
     )
     return Light(geometry, projector_blur_mm, diffusion_mm)
 

@@ -151,7 +151,7 @@ def _scaled_dose(model: Float32Array, light: Light) -> tuple[Float32Array, Float
     return np.asarray(projections / peak, np.float32), np.asarray(dose / peak, np.float32)
 
 
-def object_space(goal: Goal, light: Light, state: State | None = None, *, step: float = 1.5) -> Iterator[State]:
+def object_space(goal: Goal, light: Light, state: State | None = None, *, step: float = 1.2) -> Iterator[State]:
     """Landweber steps in object space: the model moves by how much the dose is off.
 
     Projections are the model's, ramp-filtered and clipped at 0; then ``model -= step * error``, with the error of
