@@ -1,0 +1,96 @@
+"""What is wrong with a printer, on request."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vialight.arrays import Float32Array, Grid
+from vialight.errors import InputError
+from vialight.twin.poses import Pose
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Faults of stage, lamp, camera, projector and resin; all off by default.
+
+    A wrong index or distance is not among them: it is had by giving the reconstruction another rig.
+
+    Parameters
+    ----------
+    axis_offset_mm
+        Lab x and y by which the stage's axis lies beside where the rig has it.
+    run_out_mm
+        Radius of the circle on which the axis goes once a turn.
+    tilt_rad
+        By which the axis leans towards lab x and y.
+    speed_ripple, ripples_a_turn
+        Share by which the speed of the stage varies, and how often a turn.
+    led_drift_per_s
+        Share by which the imaging light changes each second.
+    dropped_share
+        Of the frames, at random.
+    timestamp_jitter_s
+        Standard deviation of the time, and so of the angle, that a frame is recorded with.
+    specks, speck_mm, speck_counts_per_mm
+        Bubbles or dust in the resin: how many, their radius, and how brightly they scatter.
+    projector_shift_pixels
+        Columns to the right and rows down by which the projector's image is off.
+    projector_gain
+        Of the projector's light; less than 1 is dimmed.
+
+    Examples
+    --------
+    >>> Faults(axis_offset_mm=(0.1, 0.0), run_out_mm=0.05).pose(np.pi / 2).shift_mm
+    (0.1, 0.05)
+    """
+
+    axis_offset_mm: tuple[float, float] = (0.0, 0.0)
+    run_out_mm: float = 0.0
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    speed_ripple: float = 0.0
+    ripples_a_turn: int = 7
+    led_drift_per_s: float = 0.0
+    dropped_share: float = 0.0
+    timestamp_jitter_s: float = 0.0
+    specks: int = 0
+    speck_mm: float = 0.15
+    speck_counts_per_mm: float = 400.0
+    projector_shift_pixels: tuple[float, float] = (0.0, 0.0)
+    projector_gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("speed_ripple", 0.0, 0.9), ("dropped_share", 0.0, 0.95), ("timestamp_jitter_s", 0.0, np.inf),
+            ("projector_gain", 0.0, np.inf), ("specks", 0, 10_000), ("run_out_mm", 0.0, 5.0),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError("faults", f"{name} is {value}", accepted=f"{low:g} to {high:g}", remedy="correct it")
+
+    def pose(self, angle_rad: float) -> Pose:
+        """Return how the object stands when it has turned by an angle."""
+        x, y = self.axis_offset_mm
+        shift = (x + self.run_out_mm * np.cos(angle_rad), y + self.run_out_mm * np.sin(angle_rad))
+        return Pose(angle_rad, (round(float(shift[0]), 15), round(float(shift[1]), 15)), self.tilt_rad)
+
+    def angle(self, time_s: float, speed_rad_s: float) -> float:
+        """Return the stage's true angle: even but for the ripple."""
+        even = speed_rad_s * time_s
+        return float(even + self.speed_ripple / self.ripples_a_turn * np.sin(self.ripples_a_turn * even))
+
+    def specks_in(self, grid: Grid, rng: np.random.Generator) -> Float32Array | None:
+        """Return the density (y, x, z) of bubbles and dust, which turn with the resin; None without any."""
+        if not self.specks:
+            return None
+        density = np.zeros((grid.shape[1], grid.shape[2], grid.shape[0]), np.float32)
+        for _ in range(self.specks):
+            radius, angle = np.sqrt(rng.uniform()) * grid.x_mm[-1], rng.uniform(0, 2 * np.pi)
+            place = (radius * np.sin(angle), radius * np.cos(angle), rng.uniform(grid.z_mm[0], grid.z_mm[-1]))
+            near = [
+                np.exp(-(((axis - at) / self.speck_mm) ** 2))
+                for axis, at in zip((grid.y_mm, grid.x_mm, grid.z_mm), place, strict=True)
+            ]
+            density += (self.speck_counts_per_mm * np.einsum("i,j,k->ijk", *near)).astype(np.float32)
+        return density
