@@ -192,6 +192,40 @@ def _stopped_by_interrupt() -> Iterator[Callable[[], bool]]:
 
 
 @main.command()
+@click.argument("plan", type=_FILE)
+@click.option("--rig", required=True, type=_FILE, help="The printer as it is: TOML, or orth2022-145, orth2022-190.")
+@click.option("--resin", required=True, help="What is in its vial: DUDMA, BPAGDA, or TOML.")
+@click.option("--out", required=True, type=_FOLDER, help="Folder for frames.h5, truth.stl, rig.toml, run.json.")
+@click.option("--turns", type=float, help="Light off after so many. [default: when as much has gelled as was meant]")
+@click.option("--dose", type=float, help="Light off after this dose in the part, mJ/cm^2.")
+@click.option("--voxel", type=float, default=0.1, show_default=True, help="Edge of a voxel of resin, mm.")
+@click.option("--bin", "binning", type=int, default=1, show_default=True, help="Sum N x N of the camera's pixels.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the noise.")
+@_as_json
+def simulate(
+    plan: Path, rig: Path, resin: str, out: Path, turns: float | None, dose: float | None, voxel: float, binning: int,
+    seed: int, as_json: bool,
+) -> None:  # fmt: skip
+    """Print a PLAN on the digital twin and record it.
+
+    \b
+    Example:
+      vialight simulate plan.h5 --rig orth2022-190 --resin DUDMA --out run
+    """
+    with _faults_told():
+        from vialight.commands.simulating import simulate_print
+        from vialight.twin import TwinSettings
+
+        settings = TwinSettings(binning=binning, seed=seed)
+        with _progress("s") as progress:
+            result = simulate_print(
+                plan, rig, resin, out, turns=turns, dose_mj_per_cm2=dose, voxel_mm=voxel, settings=settings,
+                progress=progress,
+            )  # fmt: skip
+        _show(result, as_json, lambda: _simulation_lines(result, out))
+
+
+@main.command()
 @click.option(
     "--out", type=_FOLDER, default=Path("vialight-demo"), show_default=True, help="Folder for everything it makes."
 )
@@ -273,6 +307,19 @@ def _reconstruction_lines(result: dict[str, Any], out: Path) -> list[str]:
         size = " x ".join(f"{end - start:.3f}" for start, end in zip(low, high, strict=True))
         lines.append(f"surface         {size} mm, {surface['volume_mm3']:.2f} mm^3, {surface['faces']} faces")
     return [*lines, f"written to      {out} in {result['elapsed_s']:.1f} s"]
+
+
+def _simulation_lines(result: dict[str, Any], out: Path) -> list[str]:
+    printed, truth = result["printed"], result["truth"]
+    return [
+        f"light on        {printed['lit_s']:.0f} s, {printed['turns_lit']:.2f} turns",
+        f"dose            {truth['largest_dose_mj_per_cm2']:.0f} mJ/cm^2 at most; "
+        f"critical: {truth['critical_dose_mj_per_cm2']:.0f}",
+        f"gelled          {truth['first_gelled_s']:.0f} to {truth['last_gelled_s']:.0f} s, "
+        f"{truth['volume_mm3']:.2f} mm^3 ({truth['reference_volume_mm3']:.2f} meant)",
+        f"frames          {printed['frames']}, {printed['frames_dropped']} dropped",
+        f"written to      {out} in {result['elapsed_s']:.1f} s",
+    ]
 
 
 def _measurement_lines(result: dict[str, Any], out: Path) -> list[str]:

@@ -3,3 +3,27 @@
 It traces rays through glass and resin and knows nothing of the closed forms that it is there to test:
 ``docs/twin.md`` has every equation, constant and unit.
 """
+
+from vialight.twin.exposure import dose_of
+from vialight.twin.faults import Faults
+from vialight.twin.machine import Frame, Twin, TwinSettings
+from vialight.twin.presets import ResinModel, find_rig, load_resin, resin_names, rig_names
+from vialight.twin.printing import Moment, check_that_it_gels, dose_a_turn_mj_per_cm2, grid_round, play
+
+__all__ = [
+    "Faults",
+    "Frame",
+    "Moment",
+    "ResinModel",
+    "Twin",
+    "TwinSettings",
+    "check_that_it_gels",
+    "dose_a_turn_mj_per_cm2",
+    "dose_of",
+    "find_rig",
+    "grid_round",
+    "load_resin",
+    "play",
+    "resin_names",
+    "rig_names",
+]

@@ -65,9 +65,11 @@ def check_that_it_gels(patterns: Patterns, twin: Twin, turns: float) -> None:
     critical = twin.resin.chemistry.critical_dose_mj_per_cm2(twin.resin.absorption_per_mm)
     if not dose > critical or not np.isfinite(critical):
         raise InputError(
-            "twin", f"the resin cannot gel: it gets {dose:.4g} mJ/cm^2 at most", accepted="more than its critical dose, "
-            f"{critical:.4g} mJ/cm^2", remedy="print more turns, or check irradiance and absorption",
-        )  # fmt: skip
+            "twin",
+            f"the resin cannot gel: it gets {dose:.4g} mJ/cm^2 at most",
+            accepted=f"more than its critical dose, {critical:.4g} mJ/cm^2",
+            remedy="print more turns, or check irradiance and absorption",
+        )
 
 
 def play(

@@ -1,0 +1,151 @@
+"""Print a plan on the twin: a run's files without a printer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vialight.commands.provenance import inputs_json, versions
+from vialight.config import Rig
+from vialight.errors import InputError
+from vialight.plan import Plan
+from vialight.store import FrameWriter, read_plan, rig_to_toml, staged_folder, write_json, write_stl
+from vialight.twin import (
+    Twin,
+    TwinSettings,
+    check_that_it_gels,
+    dose_a_turn_mj_per_cm2,
+    find_rig,
+    grid_round,
+    load_resin,
+    play,
+)
+
+DARK_FRAMES = 8
+"""Frames of the empty vial that a recording begins with, as in the shared cases."""
+LONGEST_TURNS = 60.0
+"""Of a print that ends by itself."""
+
+
+def simulate_print(
+    plan_path: str | Path,
+    rig_path: str | Path,
+    resin: str | Path,
+    out: str | Path,
+    *,
+    turns: float | None = None,
+    dose_mj_per_cm2: float | None = None,
+    voxel_mm: float = 0.1,
+    settings: TwinSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Print a plan on the twin, and record it.
+
+    Parameters
+    ----------
+    plan_path
+        The plan, HDF5.
+    rig_path
+        The printer as it is: TOML, or the name of a preset.
+    resin
+        What is in its vial: the name of a preset, or TOML.
+    out
+        Folder for ``frames.h5``, ``truth.stl``, ``reference.stl``, ``rig.toml`` and ``run.json``.
+    turns, dose_mj_per_cm2
+        When the light goes off: after turns, or a dose in the part; by default when what has gelled is as large as
+        the part.
+    voxel_mm
+        Of the resin.
+    settings
+        Of the twin.
+    progress
+        Called with seconds done and to do.
+
+    Returns
+    -------
+    dict
+        What ``run.json`` holds.
+
+    Raises
+    ------
+    InputError
+        Plan, rig or resin cannot be used, the resin cannot gel, or `out` cannot be written.
+    """
+    started = time.monotonic()
+    if turns is not None and dose_mj_per_cm2 is not None:
+        raise InputError("--turns", "is given with --dose", accepted="one of them", remedy="leave one out")
+    for name, value in (("--turns", turns), ("--dose", dose_mj_per_cm2), ("--voxel", voxel_mm)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InputError(name, f"is {value}", accepted="a positive number", remedy="correct it")
+    plan, model = read_plan(plan_path), load_resin(resin)
+    rig = model.in_vial_of(find_rig(rig_path))
+    twin = Twin(rig, model, grid_round(plan.reference, voxel_mm, reach_mm=_reach_mm(rig)), settings)
+    a_turn = dose_a_turn_mj_per_cm2(plan.patterns, twin)
+    planned = turns if dose_mj_per_cm2 is None else dose_mj_per_cm2 / a_turn
+    check_that_it_gels(plan.patterns, twin, planned or np.inf)
+    with staged_folder(out) as folder:
+        printed = _record(folder / "frames.h5", twin, plan, planned, progress)
+        truth = twin.surface()
+        write_stl(folder / "truth.stl", truth)
+        write_stl(folder / "reference.stl", plan.reference)
+        recorded = rig.model_copy(update={"camera": rig.need_camera().binned(twin.settings.binning)})
+        (folder / "rig.toml").write_text(rig_to_toml(recorded), encoding="utf-8")
+        gelled = np.isfinite(twin.gel_time_s)
+        result = {
+            "inputs": inputs_json(plan=plan_path),
+            "rig": rig.model_dump(mode="json", by_alias=True, exclude_none=True),
+            "resin": {"chemistry": asdict(model.chemistry), "scattering": asdict(model.scattering)},
+            "settings": asdict(twin.settings) | {"voxel_mm": voxel_mm},
+            "printed": printed | {"dose_a_turn_mj_per_cm2": a_turn},
+            "truth": {
+                "file": "truth.stl",
+                "volume_mm3": truth.volume_mm3,
+                "reference_volume_mm3": plan.reference.volume_mm3,
+                "first_gelled_s": float(twin.gel_time_s[gelled].min()),
+                "last_gelled_s": float(twin.gel_time_s[gelled].max()),
+                "largest_dose_mj_per_cm2": float(twin.dose_mj_per_cm2.max()),
+                "critical_dose_mj_per_cm2": model.chemistry.critical_dose_mj_per_cm2(model.absorption_per_mm),
+            },
+            "versions": versions(),
+            "elapsed_s": round(time.monotonic() - started, 3),
+        }
+        write_json(folder / "run.json", result)
+    return result
+
+
+def _reach_mm(rig: Rig) -> float:
+    optics = rig.writing_optics()
+    return np.inf if optics is None else float(optics.field_radius_mm)
+
+
+def _record(
+    path: Path, twin: Twin, plan: Plan, turns: float | None, progress: Callable[[int, int], None] | None
+) -> dict[str, float | int]:
+    """Print and write frames; return how long the light was on and how many frames there are."""
+    part_mm3 = plan.reference.volume_mm3
+    darks = [twin.frame(of_the_empty_vial=True) for _ in range(DARK_FRAMES)]
+    settings = {"exposure_s": twin.settings.exposure_s, "binning": twin.settings.binning}
+    lit_s, ticks, dropped = 0.0, 0, 0
+    turn_s = 360 / twin.rig.stage.speed_deg_s
+    with FrameWriter(
+        path, twin.image_shape, dark=np.stack([dark.counts for dark in darks if dark]), settings=settings
+    ) as writer:
+        for moment in play(
+            twin, plan.patterns, turns=turns or LONGEST_TURNS,
+            is_done=lambda now: turns is None and now.gelled_volume_mm3 >= part_mm3,
+        ):  # fmt: skip
+            ticks += 1
+            lit_s = twin.time_s if moment.is_lit else lit_s
+            if moment.frame is None:
+                dropped += 1
+            else:
+                writer.append(moment.frame.counts, moment.frame.angle_rad, moment.frame.time_s)
+            if progress:
+                total = (turns + 1) * turn_s if turns else max(lit_s + turn_s, twin.time_s)
+                progress(int(twin.time_s), int(total))
+    return {"turns_lit": lit_s / turn_s, "lit_s": lit_s, "frames": ticks - dropped, "frames_dropped": dropped}
