@@ -54,8 +54,8 @@ class PlanSettings:
     void_limit
         Dose that a void may get, where the part gets 1.
     climbing
-        Model the climb of rays above and below the optical axis; without, light stays in its slice, which is quicker and
-        wrong by a few per cent at flat ends of a part.
+        Model the climb of rays above and below the optical axis; without, light stays in its slice, which is quicker
+        and wrong by a few per cent at flat ends of a part.
     projector_blur_mm, diffusion_mm
         Standard deviations, in the resin, of what the forward model is to undo.
     background, clip_level, bound_void
