@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +10,7 @@ from vialight.arrays import FloatArray
 from vialight.columns import column_grid, thickness
 from vialight.mesh import Mesh
 from vialight.metrology import Comparison
+from vialight.report.canvas import new_figure, png, scale_bar, style
 from vialight.report.colours import colour_ramp, deviation_colours, round_up
 from vialight.report.views import VIEWS, Drawing, View, draw
 
@@ -21,12 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
 
-_DOTS_PER_INCH = 144
 _VIEW_PIXELS = 620
 """Along the longest side of any view."""
 _STRIP_SHARE = 0.13
 _PROJECTION_CELLS = 300
-_STYLE: dict[Any, Any] = {"font.size": 9, "axes.titlesize": 9.5, "axes.linewidth": 0.6, "font.family": "DejaVu Sans"}
 _PROJECTIONS = (
     ("XY, from above", 2, "x", "y"),
     ("XZ, from the front", 1, "x", "z"),
@@ -41,12 +37,12 @@ def views_png(comparison: Comparison, limit_mm: float) -> bytes:
     size_mm = max(float(np.ptp(mesh.vertices_mm @ view.axes[:2].T, axis=0).max()) for view in VIEWS)
     drawings = [draw(mesh, colours, view, size_mm / _VIEW_PIXELS) for view in VIEWS]
     room_mm = _room(drawings)
-    with _style():
-        figure = _figure(9.6, 2 * (4.05 * room_mm[1] / room_mm[0] + 0.32))
+    with style():
+        figure = new_figure(9.6, 2 * (4.05 * room_mm[1] / room_mm[0] + 0.32))
         for index, (view, drawing) in enumerate(zip(VIEWS, drawings, strict=True)):
             _show_view(figure.add_subplot(2, 2, index + 1), view, drawing, room_mm, round_up(size_mm / 10))
         _colour_bar(figure, limit_mm, comparison)
-        return _png(figure)
+        return png(figure)
 
 
 def histogram_png(comparison: Comparison, limit_mm: float) -> bytes:
@@ -60,8 +56,8 @@ def histogram_png(comparison: Comparison, limit_mm: float) -> bytes:
     shares = 100 * part.weights_mm2 / part.weights_mm2.sum()
     heights, _ = np.histogram(np.clip(part.distance_mm, low, reach), edges, weights=shares)
     middles = (edges[1:] + edges[:-1]) / 2
-    with _style():
-        figure = _figure(8.2, 3.0)
+    with style():
+        figure = new_figure(8.2, 3.0)
         axis = figure.add_subplot()
         bars = deviation_colours(middles, limit_mm) / 255
         axis.bar(middles, heights, width=np.diff(edges), color=bars, edgecolor="0.45", linewidth=0.4)
@@ -77,7 +73,7 @@ def histogram_png(comparison: Comparison, limit_mm: float) -> bytes:
         axis.spines[["top", "right"]].set_visible(False)
         if axis.get_legend_handles_labels()[0]:
             figure.legend(frameon=False, loc="outside upper right", ncols=2)
-        return _png(figure)
+        return png(figure)
 
 
 def projections_png(comparison: Comparison) -> bytes:
@@ -92,9 +88,9 @@ def projections_png(comparison: Comparison) -> bytes:
     thickest = max(float(image.max()) for pair in images for image in pair)
     off = round_up(max(float(np.quantile(np.abs(one - other), 0.97)) for one, other in images))
     bar_mm = round_up(float((bounds[1] - bounds[0]).max()) / 10)
-    with _style():
+    with style():
         heights = [pair[0].shape[0] for pair in images]
-        figure = _figure(9.6, 9.6 * sum(heights) / (3 * max(pair[0].shape[1] for pair in images)) + 1.4)
+        figure = new_figure(9.6, 9.6 * sum(heights) / (3 * max(pair[0].shape[1] for pair in images)) + 1.4)
         panels = figure.subplots(3, 3, gridspec_kw={"height_ratios": heights})
         for row, ((title, _, right, up), (one, other)) in enumerate(zip(_PROJECTIONS, images, strict=True)):
             extent = _extent(bounds, "xyz".index(right), "xyz".index(up), one.shape, pitch)
@@ -107,14 +103,14 @@ def projections_png(comparison: Comparison) -> bytes:
                 axis = panels[row, column]
                 drawn = axis.imshow(image, origin="lower", extent=extent, interpolation="nearest", **look)
                 axis.set(title=f"{name}, {title}" if column == 0 else name, xlabel=f"{right}, mm", ylabel=f"{up}, mm")
-                _scale_bar(axis, bar_mm, "white" if column < 2 else "0.2")
+                scale_bar(axis, bar_mm, "white" if column < 2 else "0.2")
                 if row == 2 and column > 0:
                     place = panels[:, :2] if column == 1 else panels[:, 2]
                     label = "thickness, mm" if column == 1 else "difference, mm"
                     figure.colorbar(
                         drawn, ax=place.ravel().tolist(), location="bottom", shrink=0.6, aspect=40, label=label
                     )
-        return _png(figure)
+        return png(figure)
 
 
 def _projection(mesh: Mesh, bounds: FloatArray, axis: int, pitch: float) -> FloatArray:
@@ -150,7 +146,7 @@ def _show_view(axis: Axes, view: View, drawing: Drawing, room_mm: tuple[float, f
     axis.set_yticks([])
     axis.spines[:].set_color("0.8")
     _triad(axis, view)
-    _scale_bar(axis, bar_mm, "0.2", on_the_right=True)
+    scale_bar(axis, bar_mm, "0.2", on_the_right=True)
 
 
 def _triad(axis: Axes, view: View) -> None:
@@ -168,16 +164,6 @@ def _triad(axis: Axes, view: View) -> None:
         axis.text(at[0], at[1], name, ha="center", va="center", color="0.2")
 
 
-def _scale_bar(axis: Axes, length_mm: float, colour: str, *, on_the_right: bool = False) -> None:
-    (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
-    start = right - 0.05 * (right - left) - length_mm if on_the_right else left + 0.05 * (right - left)
-    height = bottom + 0.045 * (top - bottom)
-    axis.plot([start, start + length_mm], [height, height], color=colour, linewidth=2.5, solid_capstyle="butt")
-    gap = 0.02 * (right - left)
-    at, side = (start - gap, "right") if on_the_right else (start + length_mm + gap, "left")
-    axis.text(at, height, f"{length_mm:g} mm", color=colour, ha=side, va="center_baseline")
-
-
 def _colour_map() -> ListedColormap:
     from matplotlib.colors import ListedColormap
 
@@ -193,24 +179,3 @@ def _colour_bar(figure: Figure, limit_mm: float, comparison: Comparison) -> None
     sense = "missing  ←  deviation, mm  →  too much" if comparison.reported.forward.is_signed else "distance, mm"
     bar.set_label(sense)
     bar.outline.set_linewidth(0.5)
-
-
-@contextmanager
-def _style() -> Iterator[None]:
-    import matplotlib as mpl
-
-    with mpl.rc_context(_STYLE):
-        yield
-
-
-def _figure(width_inch: float, height_inch: float) -> Figure:
-    # A figure of its own, without pyplot: nothing global, and no display asked for.
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width_inch, height_inch), layout="constrained", facecolor="white")
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
-    return buffer.getvalue()

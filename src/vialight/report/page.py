@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -14,10 +13,7 @@ import numpy as np
 from vialight.metrology import Agreement, Comparison, Registration
 from vialight.report.colours import colour_limit_mm
 from vialight.report.figures import histogram_png, projections_png, views_png
-from vialight.store import staged_file
-
-_NONE = "\N{EN DASH}"
-_MINUS = "\N{MINUS SIGN}"
+from vialight.report.html import MINUS, NONE, Image, write_page
 
 
 class Figure(Protocol):
@@ -58,18 +54,6 @@ class Provenance:
     created: datetime = field(default_factory=lambda: datetime.now().astimezone())
 
 
-@dataclass(frozen=True)
-class _Image:
-    title: str
-    caption: str
-    alt: str
-    data: str
-
-    @classmethod
-    def of(cls, png: bytes, title: str, caption: str, alt: str) -> _Image:
-        return cls(title, caption, alt, base64.b64encode(png).decode("ascii"))
-
-
 def write_report(
     path: str | Path, comparison: Comparison, *, provenance: Provenance | None = None, figures: Sequence[Figure] = ()
 ) -> None:
@@ -93,19 +77,8 @@ def write_report(
     InputError
         The file cannot be written.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("vialight"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"mm": _mm, "percent": _percent, "share": _share, "signed": _signed_mm}
-    with staged_file(path) as staging:
-        content = _content(comparison, provenance or Provenance(), figures)
-        staging.write_text(environment.get_template("report.html").render(content), encoding="utf-8")
+    filters = {"mm": _mm, "percent": _percent, "share": _share, "signed": _signed_mm}
+    write_page(path, "report.html", lambda: _content(comparison, provenance or Provenance(), figures), filters)
 
 
 def _content(comparison: Comparison, provenance: Provenance, figures: Sequence[Figure]) -> dict[str, Any]:
@@ -118,13 +91,13 @@ def _content(comparison: Comparison, provenance: Provenance, figures: Sequence[F
         "pose": poses[0][0],
         "poses": poses,
         "summary": _summary([agreement for _, agreement in poses]),
-        "names": {role: entry.get("file", _NONE) for role, entry in provenance.inputs.items()},
+        "names": {role: entry.get("file", NONE) for role, entry in provenance.inputs.items()},
         "notices": _notices(comparison),
         "extents": _extents(comparison),
         "alignment": _alignment_words(comparison.registration),
         "matrix": [[f"{value + 0.0:.6f}" for value in row] for row in comparison.transform.round(6)],
         "images": _images(comparison),
-        "figures": [_Image.of(figure.png, figure.title, figure.caption, figure.title) for figure in figures],
+        "figures": [Image.of(figure.png, figure.title, figure.caption, figure.title) for figure in figures],
         "provenance": provenance,
         "created": provenance.created.strftime("%Y-%m-%d %H:%M %Z").strip(),
     }
@@ -163,7 +136,7 @@ def _notices(comparison: Comparison) -> list[str]:
             why = "is inside out" if mesh.is_watertight else "is not watertight"
             notices.append(
                 f"The {name} {why}: it has no inside, so distances to it have no sign, and what needs one is left out "
-                f"({_NONE})."
+                f"({NONE})."
             )
     return notices
 
@@ -208,24 +181,24 @@ def _alignment_words(registration: Registration | None) -> list[str]:
     return sentences
 
 
-def _images(comparison: Comparison) -> dict[str, _Image]:
+def _images(comparison: Comparison) -> dict[str, Image]:
     limit = colour_limit_mm(comparison)
     signed = comparison.reported.forward.is_signed
     sense = "Red stands proud of the reference, blue lies inside it" if signed else "The reference has no inside"
     images = {
-        "views": _Image.of(
+        "views": Image.of(
             views_png(comparison, limit), "Deviation of the print's surface",
             f"{sense}; the scale ends at ±{limit:g} mm. Orthographic, all to one scale, not mirrored.",
             "The print's surface from four sides, coloured by its deviation from the reference.",
         ),
-        "histogram": _Image.of(
+        "histogram": Image.of(
             histogram_png(comparison, limit), "Distribution of the deviation",
             "Weighted by area. What lies beyond the ends is counted in the outermost bars.",
             "Histogram of the share of the print's area over its deviation in mm.",
         ),
     }  # fmt: skip
     if comparison.measured.is_closed and comparison.reference.is_closed:
-        images["projections"] = _Image.of(
+        images["projections"] = Image.of(
             projections_png(comparison), "Sum projections",
             "How many mm of material lie along each line of sight, and where the print has more (red) or less (blue).",
             "Print, reference and their difference, summed along z, y and x.",
@@ -235,23 +208,21 @@ def _images(comparison: Comparison) -> dict[str, _Image]:
 
 def _vector(values: Sequence[float] | np.ndarray[Any, Any], digits: int) -> str:
     return (
-        "("
-        + ", ".join(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values).replace("-", _MINUS)
-        + ")"
+        "(" + ", ".join(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values).replace("-", MINUS) + ")"
     )
 
 
 def _mm(value: float | None) -> str:
-    return _NONE if value is None else f"{value:.3f} mm".replace("-", _MINUS)
+    return NONE if value is None else f"{value:.3f} mm".replace("-", MINUS)
 
 
 def _signed_mm(value: float | None) -> str:
-    return _NONE if value is None else f"{value:+.3f} mm".replace("-", _MINUS)
+    return NONE if value is None else f"{value:+.3f} mm".replace("-", MINUS)
 
 
 def _percent(value: float | None) -> str:
-    return _NONE if value is None else f"{value:.2f} %".replace("-", _MINUS)
+    return NONE if value is None else f"{value:.2f} %".replace("-", MINUS)
 
 
 def _share(value: float | None) -> str:
-    return _NONE if value is None else f"{value:.4f}"
+    return NONE if value is None else f"{value:.4f}"

@@ -1,0 +1,50 @@
+"""What all figures of the pages share: style, scale bars, PNG."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_DOTS_PER_INCH = 144
+_STYLE: dict[Any, Any] = {"font.size": 9, "axes.titlesize": 9.5, "axes.linewidth": 0.6, "font.family": "DejaVu Sans"}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw, while it lasts, in the pages' style."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def new_figure(width_inch: float, height_inch: float) -> Figure:
+    """Return an empty figure of its own, without pyplot: nothing global, and no display asked for."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_inch, height_inch), layout="constrained", facecolor="white")
+
+
+def png(figure: Figure) -> bytes:
+    """Return the figure as PNG, the same for the same figure."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def scale_bar(axis: Axes, length_mm: float, colour: str, *, mm: float = 1.0, on_the_right: bool = False) -> None:
+    """Draw a scale bar at the bottom of a picture whose axes count `mm` millimetres a unit."""
+    length = length_mm / mm
+    (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
+    start = right - 0.05 * (right - left) - length if on_the_right else left + 0.05 * (right - left)
+    height = bottom + 0.045 * (top - bottom)
+    axis.plot([start, start + length], [height, height], color=colour, linewidth=2.5, solid_capstyle="butt")
+    gap = 0.02 * (right - left)
+    at, side = (start - gap, "right") if on_the_right else (start + length + gap, "left")
+    axis.text(at, height, f"{length_mm:g} mm", color=colour, ha=side, va="center_baseline")
