@@ -18,7 +18,7 @@ from vialight.errors import InputError, VialightError, VialightWarning
 if TYPE_CHECKING:
     from types import FrameType
 
-    from vialight.commands import PlanSettings
+    from vialight.commands import GivenProjections, PlanSettings
 
 BAD_INPUT = 2
 FAILED = 1
@@ -131,6 +131,11 @@ def measure(
 @click.option("--scale", type=float, help="Scale the part; 1 says that its size is meant.")
 @click.option("--fit", is_flag=True, help="Scale the part to the largest that fits.")
 @click.option("--no-centre", is_flag=True, help="Leave the part where its file has it.")
+@click.option("--projections", type=_FILE, help="Take these instead of computing any: .npy, .npz, TIFF, folder of PNG.")
+@click.option("--axes", help="Of --projections: angle, row, column in the array's order, such as column,angle,-row.")
+@click.option("--span", type=float, help="Of --projections: degrees over which they are even, 180 or 360.")
+@click.option("--projection-angles", type=_FILE, help="Of --projections, in place of --span: a file of degrees.")
+@click.option("--projection-pixel", type=float, help="Of --projections: mm in the part. [default: the voxel]")
 @click.option("--save-state", type=_FILE, help="Save where the method stands at the end, to --resume from.")
 @click.option("--resume", type=_FILE, help="Go on from a saved state.")
 @_as_json
@@ -155,8 +160,8 @@ def plan(part: Path | None, rig: Path, out: Path | None, score: Path | None, as_
             raise click.UsageError("give a PART and --out, or --score PLAN.h5")
         with _progress("passes") as progress, _stopped_by_interrupt() as keep_going:
             result = plan_part(
-                part, rig, out, settings=_plan_settings(options), resume=options["resume"],
-                save_state=options["save_state"], progress=progress, keep_going=keep_going,
+                part, rig, out, settings=_plan_settings(options), given=_given_projections(options),
+                resume=options["resume"], save_state=options["save_state"], progress=progress, keep_going=keep_going,
             )  # fmt: skip
         _show(result, as_json, lambda: _plan_lines(result, out))
 
@@ -170,6 +175,19 @@ def _plan_settings(options: dict[str, Any]) -> PlanSettings:
         projector_blur_mm=options["projector_blur"], diffusion_mm=options["diffusion"],
         background=options["background"], clip_level=options["clip"], bound_void=options["bound_void"],
         rotate_deg=options["rotate"], scale=options["scale"], fit=options["fit"], centre=not options["no_centre"],
+    )  # fmt: skip
+
+
+def _given_projections(options: dict[str, Any]) -> GivenProjections | None:
+    from vialight.commands import GivenProjections
+
+    if options["projections"] is None:
+        return None
+    if options["axes"] is None:
+        raise click.UsageError("--projections needs --axes, such as --axes angle,row,column")
+    return GivenProjections(
+        options["projections"], options["axes"], options["projection_angles"], options["span"],
+        options["projection_pixel"],
     )  # fmt: skip
 
 
@@ -223,6 +241,28 @@ def simulate(
                 progress=progress,
             )  # fmt: skip
         _show(result, as_json, lambda: _simulation_lines(result, out))
+
+
+@main.command()
+@click.argument("plan", type=_FILE)
+@click.option(
+    "--out", required=True, type=_FILE, help="Ending in .mp4: a video, lossless; else a folder of PNG images."
+)
+@click.option("--turns", type=float, default=1.0, show_default=True, help="Of the video.")
+@_as_json
+def export(plan: Path, out: Path, turns: float, as_json: bool) -> None:
+    """Write a PLAN's patterns for printers that show images or play video.
+
+    \b
+    Example:
+      vialight export plan.h5 --out patterns
+      vialight export plan.h5 --out patterns.mp4 --turns 20
+    """
+    with _faults_told():
+        from vialight.commands import export_plan
+
+        result = export_plan(plan, out, turns=turns)
+        _show(result, as_json, lambda: [f"{result['images']} images: {out}"])
 
 
 @main.command()

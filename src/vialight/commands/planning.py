@@ -11,95 +11,47 @@ from typing import Any
 import numpy as np
 
 from vialight.arrays import BoolArray, Float32Array, Grid, centred
+from vialight.commands.plan_settings import GivenProjections, PlanSettings
 from vialight.commands.provenance import inputs_json, versions
 from vialight.config import Rig, load_rig
-from vialight.errors import InputError
 from vialight.mesh import load_mesh
 from vialight.plan import Patterns, Plan
 from vialight.projections import (
     DEFAULT_PASSES,
-    VOID_LIMIT,
     Goal,
     Light,
-    MethodName,
     Progress,
     State,
+    lay_in_vial,
     light_for,
     make_patterns,
     method_named,
     optimise,
 )
 from vialight.scoring import Score, dose_of_patterns, score_dose
-from vialight.store import SavedState, read_plan, read_state, staged_folder, write_json, write_plan, write_state
+from vialight.store import (
+    SavedState,
+    read_plan,
+    read_projections,
+    read_state,
+    staged_folder,
+    write_json,
+    write_plan,
+    write_state,
+)
 from vialight.target import Placement, Room, check_sound, place, printable_room, target_grid, voxelise
 from vialight.viewing import ray_tilt
 
 
 @dataclass(frozen=True)
-class PlanSettings:
-    """How to compute patterns.
+class _Job:
+    """A part in its vial, cut into voxels."""
 
-    Parameters
-    ----------
-    method
-        See `vialight.projections.methods`.
-    passes
-        Of the method; by default its own number.
-    angles
-        Projections in a turn, and patterns.
-    voxel_mm
-        By default the projector's pixel.
-    coverage
-        Voxels at the surface count by the share of them that is inside, instead of by their centres.
-    void_limit
-        Dose that a void may get, where the part gets 1.
-    climbing
-        Model the climb of rays above and below the optical axis; without, light stays in its slice, which is quicker
-        and wrong by a few per cent at flat ends of a part.
-    projector_blur_mm, diffusion_mm
-        Standard deviations, in the resin, of what the forward model is to undo.
-    background, clip_level, bound_void
-        Of the method `normalised`.
-    rotate_deg, scale, fit, centre
-        See `vialight.target.place`.
-    """
-
-    method: MethodName = "object-space"
-    passes: int | None = None
-    angles: int = 360
-    voxel_mm: float | None = None
-    coverage: bool = False
-    void_limit: float = VOID_LIMIT
-    climbing: bool = True
-    projector_blur_mm: float = 0.0
-    diffusion_mm: float = 0.0
-    background: float = 0.5
-    clip_level: float | None = None
-    bound_void: bool = False
-    rotate_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    scale: float | None = None
-    fit: bool = False
-    centre: bool = True
-
-    def __post_init__(self) -> None:
-        if self.angles < 4 or self.angles % 2:
-            raise InputError("--angles", f"is {self.angles}", accepted="an even number, 4 or more")
-        if self.passes is not None and self.passes < 1:
-            raise InputError("--passes", f"is {self.passes}", accepted="1 or more")
-        if not 0 < self.void_limit < 1:
-            raise InputError("--void-limit", f"is {self.void_limit}", accepted="more than 0 and less than 1")
-        for name in ("projector_blur_mm", "diffusion_mm"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(
-                    f"--{name.removesuffix('_mm').replace('_', '-')}", f"is {value}", accepted="0 or more mm"
-                )
-
-    def method_parameters(self) -> dict[str, float | bool | None]:
-        """Return the parameters that only its method knows."""
-        if self.method != "normalised":
-            return {}
-        return {"background": self.background, "clip_level": self.clip_level, "bound_void": self.bound_void}
+    rig: Rig
+    room: Room
+    placement: Placement
+    grid: Grid
+    target: Float32Array
 
 
 def plan_part(
@@ -108,6 +60,7 @@ def plan_part(
     out: str | Path,
     *,
     settings: PlanSettings | None = None,
+    given: GivenProjections | None = None,
     resume: str | Path | None = None,
     save_state: str | Path | None = None,
     progress: Progress | None = None,
@@ -125,6 +78,8 @@ def plan_part(
         The plan, HDF5; ``.html`` beside it shows it, ``.json`` holds its metrics.
     settings
         How.
+    given
+        Projections to take instead.
     resume, save_state
         Go on from a saved state; save where the method stood at the end.
     progress
@@ -142,41 +97,69 @@ def plan_part(
     InputError
         Part, rig or settings cannot be used, or the part does not fit.
     """
-    started = time.monotonic()
     settings = settings or PlanSettings()
-    rig = load_rig(rig_path)
+    job = _prepare(part_path, load_rig(rig_path), settings)
+    asked = asdict(settings)
+    known: dict[str, Any] = {}
+    if given is not None:
+        patterns = _laid(job, given, settings)
+        asked |= {"method": "given", "given": {name: str(value) for name, value in asdict(given).items() if value}}
+    else:
+        patterns, known = _optimised(job, settings, resume, save_state, progress, keep_going)
+    metrics, dose = judge(patterns, job.rig, job.grid, job.target)
+    asked |= {"placement": job.placement.matrix.tolist(), "placed_scale": job.placement.scale}
+    inputs = inputs_json(part=part_path, rig=rig_path, **({} if given is None else {"projections": given.path}))
+    plan = Plan(
+        patterns, job.placement.mesh, job.target, job.grid, job.rig, asked, metrics | known, inputs
+    )  # fmt: skip
+    return _write(out, plan, dose)
+
+
+def _prepare(part_path: str | Path, rig: Rig, settings: PlanSettings) -> _Job:
     room = printable_room(rig)
-    mesh = load_mesh(part_path)
     placement = place(
-        mesh, room, rotate_deg=settings.rotate_deg, scale=settings.scale, fit=settings.fit, centre=settings.centre,
-        where=part_path,
+        load_mesh(part_path), room, rotate_deg=settings.rotate_deg, scale=settings.scale, fit=settings.fit,
+        centre=settings.centre, where=part_path,
     )  # fmt: skip
     check_sound(placement.mesh, part_path)
     grid = target_grid(placement.mesh, settings.voxel_mm or rig.need_projector().pixel_mm)
-    target = voxelise(placement.mesh, grid, coverage=settings.coverage)
-    light = _light(grid, rig, room, settings)
-    goal = Goal(np.ascontiguousarray(target.transpose(1, 2, 0)), light.reach, settings.void_limit)
+    return _Job(rig, room, placement, grid, voxelise(placement.mesh, grid, coverage=settings.coverage))
+
+
+def _laid(job: _Job, given: GivenProjections, settings: PlanSettings) -> Patterns:
+    values, angles_rad = read_projections(given.path, axes=given.axes, angles=given.angles, span_deg=given.span_deg)
+    pixel_mm = job.grid.voxel_mm if given.pixel_mm is None else given.pixel_mm
+    projections, light, rows = lay_in_vial(values, angles_rad, pixel_mm, job.grid.centre_z_mm)
+    return make_patterns(projections, light, rows, job.rig, count=settings.angles)
+
+
+def _optimised(
+    job: _Job,
+    settings: PlanSettings,
+    resume: str | Path | None,
+    save_state: str | Path | None,
+    progress: Progress | None,
+    keep_going: Callable[[], bool],
+) -> tuple[Patterns, dict[str, Any]]:
+    """Return patterns, and what is known of their making."""
+    started = time.monotonic()
+    light = _light(job.grid, job.rig, job.room, settings)
+    goal = Goal(np.ascontiguousarray(job.target.transpose(1, 2, 0)), light.reach, settings.void_limit)
     method = method_named(settings.method, **settings.method_parameters())
     passes = settings.passes or DEFAULT_PASSES[settings.method]
     state = None
     if resume is not None:
-        geometry = light.geometry
-        state = State(*read_state(resume, (len(geometry.psi_rad), geometry.samples, grid.shape[0]), goal.inside.shape))
+        shape = (len(light.geometry.psi_rad), light.geometry.samples, job.grid.shape[0])
+        state = State(*read_state(resume, shape, goal.inside.shape))
     best, last = optimise(goal, light, method, passes, state=state, progress=progress, keep_going=keep_going)
     if save_state is not None:
         write_state(save_state, SavedState(last.passes, last.model, last.projections, last.dose))
-    patterns = make_patterns(best.projections, light, grid, rig)
-    metrics, dose = judge(patterns, rig, grid, target)
-    metrics |= {
+    known = {
         "passes": best.passes,
-        "believed": _believed(best, goal).to_json(),
+        "believed": score_dose(best.dose, goal.inside, goal.reach > 0).to_json(),
         "optimisation_s": round(time.monotonic() - started, 3),
     }
-    plan = Plan(
-        patterns, placement.mesh, target, grid, rig, asdict(settings) | _placement_json(placement), metrics,
-        inputs_json(part=part_path, rig=rig_path),
-    )  # fmt: skip
-    return _write(out, plan, dose)
+    return make_patterns(best.projections, light, job.grid, job.rig), known
 
 
 def score_plan(plan_path: str | Path, rig_path: str | Path) -> dict[str, Any]:
@@ -236,14 +219,6 @@ def _light(grid: Grid, rig: Rig, room: Room, settings: PlanSettings) -> Light:
 def _judged(grid: Grid) -> BoolArray:
     radius = max(grid.shape[1:]) / 2 * grid.voxel_mm
     return np.asarray(np.hypot(grid.x_mm, grid.y_mm[:, None]) <= radius)[None]
-
-
-def _believed(best: State, goal: Goal) -> Score:
-    return score_dose(best.dose, goal.inside, goal.reach > 0)
-
-
-def _placement_json(placement: Placement) -> dict[str, Any]:
-    return {"placement": placement.matrix.tolist(), "placed_scale": placement.scale}
 
 
 def _write(out: str | Path, plan: Plan, dose: Float32Array) -> dict[str, Any]:

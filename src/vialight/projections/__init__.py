@@ -1,7 +1,7 @@
 """Stage: from a target to the light patterns that print it.
 
-`light` is the forward model, `methods` optimise projections in it, `patterns` makes grey levels for a projector of
-them.  `optimise` runs a method.
+`light` is the forward model, `methods` optimise projections in it, `given` takes those computed elsewhere, `patterns`
+makes grey levels for a projector of them.  `optimise` runs a method.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from functools import partial
 from typing import get_args
 
 from vialight.errors import InputError
+from vialight.projections.given import lay_in_vial
 from vialight.projections.light import Light, dose_of, light_for
 from vialight.projections.methods import (
     VOID_LIMIT,
@@ -34,6 +35,7 @@ __all__ = [
     "State",
     "dose_of",
     "full_turn",
+    "lay_in_vial",
     "light_for",
     "make_patterns",
     "method_named",
