@@ -93,6 +93,10 @@ class PixelRays(NamedTuple):
     virtual_x_mm: FloatArray
     direction_rad: FloatArray
     mid_height_mm: FloatArray
+    width_mm: FloatArray
+    """Of what the pixel lights in the resin, across its ray seen from above."""
+    height_mm: FloatArray
+    """Of the same, in mid-heights."""
     delivery: FloatArray
     """Light per area in the resin, closest to the axis, per light per area in air in the plane of the axis."""
 
@@ -118,13 +122,15 @@ def pixel_rays(
     z_c = (camera.optical_row - np.arange(rows, dtype=np.float64))[:, None] * camera.pixel_mm
     if optics is None:
         x_c, z_c = np.tile(x_c, (rows, 1)), np.tile(z_c, (1, columns))
-        return PixelRays(x_c, np.zeros(x_c.shape), z_c, np.ones(x_c.shape))
+        pixel, one = np.full(x_c.shape, camera.pixel_mm), np.ones(x_c.shape)
+        return PixelRays(x_c, np.zeros(x_c.shape), z_c, pixel, pixel, one)
     rays = camera_to_virtual(x_c, z_c, optics)
     half = camera.pixel_mm / 2
     left, right = (camera_to_virtual(x_c + side, z_c, optics).virtual_x_mm for side in (-half, half))
     lower, upper = (camera_to_virtual(x_c, z_c + side, optics).mid_height_mm for side in (-half, half))
-    area_ratio = (right - left) * (upper - lower) / camera.pixel_mm**2
+    width, height = right - left, upper - lower
+    area_ratio = width * height / camera.pixel_mm**2
     half_chord = np.sqrt(np.maximum(optics.inner_radius_mm**2 - rays.virtual_x_mm**2, 0)) * np.sqrt(1 + rays.slope**2)
     share = transmission(x_c, z_c, optics) * np.exp(-absorption_per_mm * half_chord)
     delivery = np.nan_to_num(share / area_ratio, nan=0.0, posinf=0.0)
-    return PixelRays(rays.virtual_x_mm, rays.direction_rad, rays.mid_height_mm, delivery)
+    return PixelRays(rays.virtual_x_mm, rays.direction_rad, rays.mid_height_mm, width, height, delivery)
