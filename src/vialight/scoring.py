@@ -1,7 +1,8 @@
 """Stage: what finished patterns do, whoever computed them.
 
-The judge of every method: it knows only grey levels, angles and the rig.  Pixels are square, patterns are held over
-their angle, and the dose of a voxel is the mean over sub-voxels.
+The judge of every method: it knows only grey levels, angles and the rig.  Pixels are square and count by the share
+that each has in what a ray stands for, patterns are held over their angle, and the dose of a voxel is the mean over
+sub-voxels.
 """
 
 from __future__ import annotations
@@ -62,14 +63,15 @@ def dose_of_patterns(
     psi = (np.arange(len(patterns.angles_rad) * subvoxels, dtype=np.float64) + 0.5) * held
     fine = Grid((grid.shape[0], grid.shape[1] * subvoxels, grid.shape[2] * subvoxels), spacing, grid.centre_z_mm)
     dose = np.empty(grid.shape, np.float32)
+    # One slice more than light climbs: it tells what a slice spans of the image.
     largest_climb = 0.0 if tilt is None or not climbing else float(tilt.max()) * radius * np.abs(grid.z_mm).max()
-    margin = int(np.ceil(largest_climb / grid.voxel_mm)) + 1 if climbing and tilt is not None else 0
+    margin = int(np.ceil(largest_climb / grid.voxel_mm)) + 1
     for start in range(0, grid.shape[0], _SLICES_A_BLOCK):
         stop = min(start + _SLICES_A_BLOCK, grid.shape[0])
         z_mm = grid.z_mm[0] + np.arange(start - margin, stop + margin, dtype=np.float64) * grid.voxel_mm
         geometry = StripGeometry(
             psi, float(s_mm[0]), spacing, len(s_mm), fine.x_mm, fine.y_mm, rig.resin.absorption_per_mm or 0.0, tilt,
-            z_mm if margin else None,
+            z_mm if climbing and tilt is not None else None,
         )  # fmt: skip
         lit = backproject_strips(light_of_patterns(patterns, rig, psi, s_mm, z_mm), geometry)
         lit = lit[:, :, margin : lit.shape[2] - margin]
@@ -88,7 +90,8 @@ def light_of_patterns(
     patterns, rig
         As for `dose_of_patterns`.
     psi_rad, s_mm, z_mm
-        Angles, positions and mid-heights wanted.
+        Angles, positions and mid-heights wanted; positions and heights two or more, evenly spaced: each ray stands for
+        what lies half way to the next.
 
     Returns
     -------
@@ -101,10 +104,10 @@ def light_of_patterns(
     rays = pixel_rays(projector.columns, projector.rows, camera, optics, absorption)
     column, row, direction = _pixels_of(s_mm, z_mm, rig)
     out = np.zeros((len(psi_rad), len(s_mm), len(z_mm)), np.float32)
-    step = patterns.step_rad
+    step, sense = patterns.step_rad, rig.stage.direction
     _look_up(
-        patterns.levels, patterns.first_row, patterns.first_column, row, column, direction,
-        (psi_rad + np.radians(projector.azimuth_deg) - patterns.angles_rad[0]) / step, step,
+        patterns.levels, patterns.first_row, patterns.first_column, row, _widths(row, 1), column, _widths(column, 0),
+        sense * direction / step, (sense * (psi_rad + np.radians(projector.azimuth_deg)) - patterns.angles_rad[0]) / step,
         (rays.delivery * patterns.dose_rate_per_level).astype(np.float32), out,
     )  # fmt: skip
     return out
@@ -122,30 +125,46 @@ def _pixels_of(s_mm: FloatArray, z_mm: FloatArray, rig: Rig) -> tuple[FloatArray
     return x_c / camera.pixel_mm + camera.axis_column, camera.optical_row - z_c / camera.pixel_mm, direction
 
 
+def _widths(position: FloatArray, axis: int) -> FloatArray:
+    """Return how many pixels each of two or more samples spans."""
+    return np.abs(np.asarray(np.gradient(position, axis=axis)))
+
+
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def _look_up(
     levels: NDArray[np.uint8],
     first_row: int,
     first_column: int,
     row: FloatArray,
+    height: FloatArray,
     column: FloatArray,
+    width: FloatArray,
     direction: FloatArray,
     turned: FloatArray,
-    step: float,
     per_level: Float32Array,
     out: Float32Array,
 ) -> None:
-    """Read, for every ray, the pixel that lights it, of the pattern that is then shown."""
+    """Average, for every ray, the pixels that light what it stands for, of the pattern that is then shown."""
     count, rows, columns = levels.shape
+    tiny = 1e-6
     for p in prange(len(turned)):
         for i in range(out.shape[1]):
             for z in range(out.shape[2]):
-                if not np.isfinite(row[i, z] + column[i, z] + direction[i, z]):
+                if not np.isfinite(row[i, z] + column[i, z] + direction[i, z] + height[i, z] + width[i, z]):
                     continue
-                r, c = int(np.floor(row[i, z] + 0.5)), int(np.floor(column[i, z] + 0.5))
-                if first_row <= r < first_row + rows and first_column <= c < first_column + columns:
-                    k = int(np.floor(turned[p] - direction[i, z] / step + 0.5)) % count
-                    out[p, i, z] = per_level[r, c] * levels[k, r - first_row, c - first_column]
+                half_high, half_wide = max(height[i, z], tiny) / 2, max(width[i, z], tiny) / 2
+                top, bottom = row[i, z] + 0.5 - half_high, row[i, z] + 0.5 + half_high
+                left, right = column[i, z] + 0.5 - half_wide, column[i, z] + 0.5 + half_wide
+                k = int(np.floor(turned[p] - direction[i, z] + 0.5)) % count
+                total = np.float32(0)
+                for r in range(max(int(np.floor(top)), first_row), min(int(np.ceil(bottom)), first_row + rows)):
+                    high = min(bottom, r + 1.0) - max(top, r)
+                    for c in range(
+                        max(int(np.floor(left)), first_column), min(int(np.ceil(right)), first_column + columns)
+                    ):
+                        share = np.float32(high * (min(right, c + 1.0) - max(left, c)))
+                        total += share * per_level[r, c] * levels[k, r - first_row, c - first_column]
+                out[p, i, z] = total / np.float32(4 * half_high * half_wide)
 
 
 @dataclass(frozen=True)

@@ -62,9 +62,9 @@ def make_patterns(
     slices = _Footprints(
         (rays.mid_height_mm[part] - grid.z_mm[0]) / grid.voxel_mm, rays.height_mm[part] / grid.voxel_mm
     )
-    from_first = angles - np.radians(projector.azimuth_deg) - light.geometry.psi_rad[0]
+    turned = rig.stage.direction * angles - np.radians(projector.azimuth_deg) - light.geometry.psi_rad[0]
     _read(
-        np.ascontiguousarray(sinogram), from_first, rays.direction_rad[part],
+        np.ascontiguousarray(sinogram), turned, rays.direction_rad[part],
         strips.start, strips.stop, slices.start, slices.stop,
         np.where(rays.delivery[part] > 0, 1 / np.maximum(rays.delivery[part], 1e-9), 0).astype(np.float32), irradiance,
     )  # fmt: skip
