@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -39,11 +40,11 @@ def png(figure: Figure) -> bytes:
 
 
 def scale_bar(axis: Axes, length_mm: float, colour: str, *, mm: float = 1.0, on_the_right: bool = False) -> None:
-    """Draw a scale bar at the bottom of a picture whose axes count `mm` millimetres a unit."""
+    """Draw a scale bar at the bottom of a picture of equal aspect whose axes count `mm` millimetres a unit."""
     length = length_mm / mm
     (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
     start = right - 0.05 * (right - left) - length if on_the_right else left + 0.05 * (right - left)
-    height = bottom + 0.045 * (top - bottom)
+    height = bottom + math.copysign(0.045 * (right - left), top - bottom)
     axis.plot([start, start + length], [height, height], color=colour, linewidth=2.5, solid_capstyle="butt")
     gap = 0.02 * (right - left)
     at, side = (start - gap, "right") if on_the_right else (start + length + gap, "left")

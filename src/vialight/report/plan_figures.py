@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -18,11 +17,14 @@ from vialight.viewing import vial_edge_columns
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
+    from matplotlib.patches import Patch
 
 IN_PART, IN_VOID, OVER, UNDER = "#d9731a", "#3566b8", "#c0202c", "#2a4bb0"
 _CURED, _LIQUID, _NOT_JUDGED, _INK = "#b9bec7", "#ffffff", "#ececec", "0.15"
 _BINS = 120
 _FRAMES = 8
+_STRIP = 0.09
+"""Room for a scale bar, as a share of a picture's width."""
 _SCREEN_GAMMA = 2.2
 _WIDTH, _TALLEST = 9.6, 15.0
 """Inches."""
@@ -49,16 +51,6 @@ class Dosed:
     void: BoolArray
     threshold: float | None
     void_limit: float | None
-
-    @property
-    def over_cured(self) -> BoolArray:
-        """Voxels that cure and should not; none where no threshold is known."""
-        return np.asarray(self.void & (self.dose >= (np.inf if self.threshold is None else self.threshold)))
-
-    @property
-    def under_cured(self) -> BoolArray:
-        """Voxels that should cure and do not; none where no threshold is known."""
-        return np.asarray(self.part & (self.dose < (-np.inf if self.threshold is None else self.threshold)))
 
 
 class Cut(NamedTuple):
@@ -109,8 +101,8 @@ def dose_histogram_png(dosed: Dosed) -> bytes:
         for axis, floor in ((plain, 0.0), (log, fewest / 2)):
             for (name, _, colour), heights in zip(groups, shares, strict=True):
                 shown = np.maximum(heights, floor)
-                axis.stairs(shown, edges, baseline=floor, fill=True, color=colour, alpha=0.45)
-                axis.stairs(shown, edges, baseline=floor, color=colour, linewidth=1, label=name)
+                axis.stairs(shown, edges, baseline=floor, fill=True, color=colour, alpha=0.45, label=name)
+                axis.stairs(shown, edges, baseline=floor, color=colour, linewidth=1)
             _show_limits(axis, dosed)
             axis.spines[["top", "right"]].set_visible(False)
             axis.set_xlim(0, edges[-1])
@@ -128,12 +120,11 @@ def slices_png(dosed: Dosed, plan: Plan) -> bytes:
     cuts = cuts_through(dosed, plan)
     centres = {"x": plan.grid.x_mm, "y": plan.grid.y_mm, "z": plan.grid.z_mm}
     brightest = max(1.0, float(dosed.dose.max()))
-    wrong = _outcome(dosed)
     bar_mm = round_up(float(np.ptp(centres["x"])) / 10)
     heights = [len(centres[cut.up]) for cut in cuts]
     widest = max(len(centres[cut.right]) for cut in cuts)
     with style():
-        figure = new_figure(_WIDTH, min(_WIDTH * sum(heights) / (3 * widest) + 1.6, _TALLEST))
+        figure = new_figure(_WIDTH, min(_WIDTH * (sum(heights) / (3 * widest) + _STRIP) + 2.6, _TALLEST))
         panels = figure.subplots(3, 3, gridspec_kw={"height_ratios": heights})
         drawn: AxesImage | None = None
         for row, cut in enumerate(cuts):
@@ -144,12 +135,15 @@ def slices_png(dosed: Dosed, plan: Plan) -> bytes:
             shown: list[tuple[str, Any, dict[str, Any], str]] = [
                 ("target", cut.of(plan.target), dose_look, "white"),
                 ("dose", cut.of(dosed.dose), dose_look, "white"),
-                ("at the best threshold", cut.of(wrong), {}, "0.2"),
+                ("at the best threshold", _outcome(dosed, cut), {}, "0.2"),
             ]
             for column, (name, image, look, ink) in enumerate(shown):
                 axis = panels[row, column]
                 picture = axis.imshow(image, origin="lower", extent=extent, interpolation="nearest", **look)
                 drawn = picture if column == 1 else drawn
+                # A strip for the scale bar: a part's lowest slices must not hide behind it.
+                axis.set_ylim(extent[2] - _STRIP * (extent[1] - extent[0]), extent[3])
+                axis.set_facecolor("black" if look else _LIQUID)
                 axis.set(title=f"{name}, {cut.title}" if column == 0 else name)
                 axis.set(xlabel=f"{cut.right}, mm", ylabel=f"{cut.up}, mm")
                 if column > 0:
@@ -157,10 +151,10 @@ def slices_png(dosed: Dosed, plan: Plan) -> bytes:
                 scale_bar(axis, bar_mm, ink)
         if drawn is not None:
             figure.colorbar(
-                drawn, ax=panels[:, :2].ravel().tolist(), location="bottom", shrink=0.6, aspect=40,
+                drawn, ax=panels.ravel().tolist(), location="bottom", shrink=0.45, aspect=40,
                 label="dose, 1 = meant inside the part",
             )  # fmt: skip
-        _legend_of_outcome(panels[2, 2])
+        figure.legend(handles=_outcome_patches(), loc="outside lower center", frameon=False, ncols=5)
         return png(figure)
 
 
@@ -171,19 +165,24 @@ def filmstrip_png(plan: Plan) -> bytes:
     _, rows, columns = patterns.levels.shape
     across = 2 if columns > 1.8 * rows else 4 if columns > 0.6 * rows else 8
     down = -(-len(indices) // across)
+    pixel_mm = plan.rig.need_projector().pixel_mm
+    bottom, strip = patterns.first_row + rows - 0.5, _STRIP * columns
     each = _WIDTH / across
     with style():
-        figure = new_figure(_WIDTH, min(down * (each * rows / columns + 0.35) + 0.9, _TALLEST))
+        figure = new_figure(_WIDTH, min(down * (each * (rows / columns + _STRIP) + 0.35) + 0.9, _TALLEST))
         panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
         for axis in panels.flat[len(indices) :]:
             axis.set_visible(False)
         for axis, index in zip(panels.flat, indices, strict=False):
             drawn = _show_pattern(axis, patterns, index)
-            axis.set_title(angle_words(patterns, index))
-            scale_bar(axis, _bar_mm(plan, columns), "white", mm=plan.rig.need_projector().pixel_mm)
-        figure.supxlabel("projector's column", fontsize=9)
-        figure.supylabel("projector's row", fontsize=9)
-        _level_bar(figure, drawn, panels.ravel().tolist())
+            axis.set(title=angle_words(patterns, index), xlabel="column", ylabel="row")
+            axis.set(facecolor="black", ylim=(bottom + strip, bottom - rows))
+            axis.label_outer()
+            scale_bar(axis, round_up(columns * pixel_mm / 12), "white", mm=pixel_mm)
+        figure.colorbar(
+            drawn, ax=panels.ravel().tolist(), location="bottom", shrink=0.5, aspect=50,
+            ticks=[0, 4, 16, 32, 64, 128, 192, 255], label="grey level of the projector",
+        )  # fmt: skip
         return png(figure)
 
 
@@ -194,7 +193,7 @@ def frame_png(plan: Plan) -> bytes:
     _, rows, columns = patterns.levels.shape
     whole = (-0.5, projector.columns - 0.5, projector.rows - 0.5, -0.5)
     with style():
-        figure = new_figure(_WIDTH, _WIDTH * projector.rows / projector.columns + 0.9)
+        figure = new_figure(_WIDTH, 0.92 * _WIDTH * projector.rows / projector.columns + 0.95)
         axis = figure.add_subplot()
         axis.set_facecolor("black")
         _show_pattern(axis, patterns, 0)
@@ -205,15 +204,23 @@ def frame_png(plan: Plan) -> bytes:
             color="#ffd84d", linewidth=0.9, linestyle="--", label="cut shown in the filmstrip",
         )  # fmt: skip
         outline = swept_outline(plan)
-        axis.plot(outline[:, 0], outline[:, 1], color="#5ff0e0", linewidth=0.9, label="part, in any turn")
-        axis.axvline(camera.axis_column, color="#ff7b7b", linewidth=0.8, linestyle=":", label="rotation axis")
-        axis.axhline(camera.optical_row, color="#9d9df5", linewidth=0.8, linestyle=":", label="optical axis' row")
+        axis.plot(
+            outline[:, 0], outline[:, 1], color="#5ff0e0", linewidth=0.9, label="body that the part sweeps as it turns"
+        )
+        axis.axvline(camera.axis_column, color="#ff7b7b", linewidth=0.9, linestyle=":", label="rotation axis")
+        axis.axhline(
+            camera.optical_row,
+            color="#a9a9ff",
+            linewidth=0.9,
+            linestyle=(0, (6, 3)),
+            label="height of the optical axis",
+        )
         if optics is not None:
             for index, edge in enumerate(vial_edge_columns(camera, optics)):
                 label = None if index else "outermost light to reach the resin"
                 axis.axvline(edge, color="0.65", linewidth=0.9, linestyle="-.", label=label)
         scale_bar(axis, round_up(projector.columns * projector.pixel_mm / 15), "white", mm=projector.pixel_mm)
-        figure.legend(frameon=False, loc="outside lower center", ncols=3)
+        figure.legend(loc="outside lower center", ncols=3, facecolor="0.1", labelcolor="white", framealpha=1)
         return png(figure)
 
 
@@ -276,27 +283,29 @@ def _show_limits(axis: Axes, dosed: Dosed) -> None:
         )  # fmt: skip
 
 
-def _outcome(dosed: Dosed) -> Any:
+def _outcome(dosed: Dosed, cut: Cut) -> Float32Array:
+    """Return (up, right, rgb): what happens to each voxel of a plane at the best threshold."""
     from matplotlib.colors import to_rgb
 
-    image = np.empty((*dosed.dose.shape, 3), np.float32)
+    dose, part, void = cut.of(dosed.dose), cut.of(dosed.part), cut.of(dosed.void)
+    image = np.empty((*dose.shape, 3), np.float32)
     image[:] = to_rgb(_NOT_JUDGED)
-    for where, colour in (
-        (dosed.void, _LIQUID), (dosed.part, _CURED), (dosed.over_cured, OVER), (dosed.under_cured, UNDER),
-    ):  # fmt: skip
-        image[where] = to_rgb(colour)
+    image[void] = to_rgb(_LIQUID)
+    image[part] = to_rgb(_CURED)
+    if dosed.threshold is not None:
+        image[void & (dose >= dosed.threshold)] = to_rgb(OVER)
+        image[part & (dose < dosed.threshold)] = to_rgb(UNDER)
     return image
 
 
-def _legend_of_outcome(axis: Axes) -> None:
+def _outcome_patches() -> list[Patch]:
     from matplotlib.patches import Patch
 
     entries = (
         (_CURED, "cures, as meant"), (_LIQUID, "stays liquid, as meant"), (OVER, "cures, should not"),
         (UNDER, "should cure, does not"), (_NOT_JUDGED, "not judged"),
     )  # fmt: skip
-    patches = [Patch(facecolor=colour, edgecolor="0.5", linewidth=0.5, label=label) for colour, label in entries]
-    axis.legend(handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.35), frameon=False, fontsize=8)
+    return [Patch(facecolor=colour, edgecolor="0.5", linewidth=0.5, label=label) for colour, label in entries]
 
 
 def _outline(axis: Axes, right: FloatArray, up: FloatArray, target: Float32Array, colour: str) -> None:
@@ -312,15 +321,4 @@ def _show_pattern(axis: Axes, patterns: Patterns, index: int) -> AxesImage:
     return axis.imshow(
         patterns.levels[index], cmap="gray", norm=PowerNorm(1 / _SCREEN_GAMMA, 0, 255),
         extent=(left, left + columns, top + rows, top), interpolation="antialiased",
-    )  # fmt: skip
-
-
-def _bar_mm(plan: Plan, columns: int) -> float:
-    return round_up(columns * plan.rig.need_projector().pixel_mm / 12)
-
-
-def _level_bar(figure: Any, drawn: AxesImage, panels: Sequence[Axes]) -> None:
-    figure.colorbar(
-        drawn, ax=panels, location="bottom", shrink=0.5, aspect=50, ticks=[0, 4, 16, 32, 64, 128, 192, 255],
-        label="grey level of the projector",
     )  # fmt: skip

@@ -125,11 +125,14 @@ def _tiles(plan: Plan) -> list[_Tile]:
         tiles.append(_Tile("exposure per turn", f"{exposure:.3g} mJ/cm²", "where the dose is the best threshold"))
     if turns is None:
         why = no_light if exposure is None else "the rig's resin has no critical_exposure_mj_per_cm2"
-        tiles.append(_Tile("turns to cure", NONE, why))
+        tiles += [_Tile("turns to cure", NONE, why), _Tile("time to cure", NONE, why)]
     else:
         seconds = turns * 360 / rig.stage.speed_deg_s
-        goal = "" if critical is None else f"to {critical:g} mJ/cm², "
-        tiles.append(_Tile("turns to cure", f"{turns:.1f}", f"{goal}{seconds:.0f} s at {rig.stage.speed_deg_s:g}°/s"))
+        goal = "" if critical is None else f"to {critical:g} mJ/cm², the resin's critical exposure"
+        tiles += [
+            _Tile("turns to cure", f"{turns:.1f}", goal),
+            _Tile("time to cure", f"{seconds:.0f} s", f"at {rig.stage.speed_deg_s:g}°/s"),
+        ]
     return tiles
 
 
@@ -141,7 +144,7 @@ def _window_words(metrics: Mapping[str, Any]) -> str:
 
 
 def _images(plan: Plan, dosed: Dosed) -> list[Image]:
-    gamma = "Brightness on the screen is proportional to light, as levels are to the projector."
+    gamma = "On the screen, brightness is proportional to light, as grey levels are at the projector."
     first = f"{np.degrees(plan.patterns.angles_rad[0]):g}°"
     return [
         Image.of(
@@ -174,7 +177,8 @@ def _outcome_words(dosed: Dosed) -> str:
     if dosed.threshold is None or not dosed.part.any():
         return "No threshold is known, so what cures is not shown."
     volume = int(dosed.part.sum())
-    over, under = int(dosed.over_cured.sum()), int(dosed.under_cured.sum())
+    cures = dosed.dose >= dosed.threshold
+    over, under = int((dosed.void & cures).sum()), int((dosed.part & ~cures).sum())
     return (
         f"At the best threshold, of the part's volume, {_percent(under / volume)} does not cure and "
         f"{_percent(over / volume)} cures outside it, over all heights."
@@ -182,7 +186,11 @@ def _outcome_words(dosed: Dosed) -> str:
 
 
 def _settings(plan: Plan) -> list[tuple[str, str]]:
-    shown = {name: value for name, value in plan.settings.items() if name not in ("placement", "placed_scale")}
+    shown = {
+        name: "not set" if value is None else value
+        for name, value in plan.settings.items()
+        if name not in ("placement", "placed_scale")
+    }
     known = {key for key, _, _ in _SCORES} | {"believed", *_EXPOSURE}
     results = {name: value for name, value in plan.metrics.items() if name not in known}
     results = {f"{name} done" if name in shown else name: value for name, value in results.items()}
@@ -210,10 +218,10 @@ def _patterns(plan: Plan) -> list[tuple[str, str]]:
 def _worded(name: str, value: Any) -> tuple[str, str]:
     """Return a recorded name without its unit, and the value with it."""
     for suffix, unit in _UNITS.items():
-        if name.endswith(f"_{suffix}"):
+        if name.endswith(f"_{suffix}") and value is not None and not isinstance(value, str):
             gap = "" if unit == "°" else " "
             words = _value(value)
-            return _spaced(name.removesuffix(f"_{suffix}")), words if words == NONE else f"{words}{gap}{unit}"
+            return _spaced(name.removesuffix(f"_{suffix}")), f"{words}{gap}{unit}"
     return _spaced(name), _value(value)
 
 
