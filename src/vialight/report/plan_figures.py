@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from vialight.arrays import BoolArray, Float32Array, FloatArray
+from vialight.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from vialight.plan import Patterns, Plan
 from vialight.refraction import virtual_to_camera
 from vialight.report.canvas import new_figure, png, scale_bar, style
@@ -69,10 +69,13 @@ class Cut(NamedTuple):
 
 
 def cuts_through(dosed: Dosed, plan: Plan) -> tuple[Cut, Cut, Cut]:
-    """Choose XY where the part has most voxels, XZ and YZ through its middle, or as near to it as it has any."""
+    """Choose XY where the part has most voxels, XZ and YZ through its middle, or as near to it as it has any.
+
+    Of slices that are equally full, the one nearest to the middle stands for the rest better than an end would.
+    """
     across = [dosed.part.sum(axis=tuple({0, 1, 2} - {axis})) for axis in range(3)]
-    z = int(across[0].argmax())
-    y, x = (_nearest_to_middle(counts) for counts in across[1:])
+    z = _nearest_to_middle(across[0], across[0] == across[0].max())
+    y, x = (_nearest_to_middle(counts, counts > 0) for counts in across[1:])
     height, depth, side = (
         f"{name} = {float(axis[index]):+.2f} mm".replace("-", "\N{MINUS SIGN}")
         for name, axis, index in zip("zyx", (plan.grid.z_mm, plan.grid.y_mm, plan.grid.x_mm), (z, y, x), strict=True)
@@ -163,7 +166,7 @@ def filmstrip_png(plan: Plan) -> bytes:
     patterns = plan.patterns
     indices = filmstrip_indices(len(patterns.levels))
     _, rows, columns = patterns.levels.shape
-    across = 2 if columns > 1.8 * rows else 4 if columns > 0.6 * rows else 8
+    across = 2 if columns > 1.8 * rows else 4
     down = -(-len(indices) // across)
     pixel_mm = plan.rig.need_projector().pixel_mm
     bottom, strip = patterns.first_row + rows - 0.5, _STRIP * columns
@@ -257,12 +260,12 @@ def swept_outline(plan: Plan) -> FloatArray:
     return np.column_stack([x_c / camera.pixel_mm + camera.axis_column, camera.optical_row - z_c / camera.pixel_mm])
 
 
-def _nearest_to_middle(counts: Any) -> int:
-    filled = np.flatnonzero(counts)
+def _nearest_to_middle(counts: IntArray, allowed: BoolArray) -> int:
+    """Return, of the allowed places, the one nearest to the middle of what is filled."""
+    filled, places = np.flatnonzero(counts), np.flatnonzero(allowed)
     if not filled.size:
         return len(counts) // 2
-    middle = (filled[0] + filled[-1]) / 2
-    return int(filled[np.abs(filled - middle).argmin()])
+    return int(places[np.abs(places - (filled[0] + filled[-1]) / 2).argmin()])
 
 
 def _show_limits(axis: Axes, dosed: Dosed) -> None:
