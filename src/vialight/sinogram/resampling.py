@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
-from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, ParallelBeam
+from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, IntArray, ParallelBeam
 from vialight.config import Camera, Optics
 from vialight.sinogram.turns import TURN_RAD, check_gaps, nominal_step, sorted_turn
 from vialight.viewing import columns_and_directions, rows_and_plan_share
@@ -65,8 +66,9 @@ def resample(
     check_gaps(angles, half_turn_suffices=optics is None)
     column, direction = columns_and_directions(beam.virtual_x_mm, float(z_mm.mean()), camera, optics)
     rows, plan_share = rows_and_plan_share(frames.shape[2], z_mm, camera, optics)
-    frames = frames[order] if frames.shape[1] > 1 else np.repeat(frames[order], 2, axis=1)
-    by_column = _read_rows(frames, rows - first_row, plan_share)
+    if frames.shape[1] == 1:
+        frames = np.repeat(frames, 2, axis=1)
+    by_column = _read_rows(frames, order, *_row_taps(rows - first_row, plan_share, frames.shape[1]))
     step = nominal_step(angles)
     out = np.zeros((len(beam.psi_rad), len(column), len(z_mm)), np.float32)
     gap_steps = np.zeros(out.shape[:2], np.float32)
@@ -97,16 +99,18 @@ def _cubic_convolution(t: float) -> tuple[np.float32, np.float32, np.float32, np
     )
 
 
-@njit(inline="always")
-def _b_spline(t: float) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Weights of spline coefficients -1, 0, 1, 2 at 0 <= t < 1."""
-    u = 1.0 - t
-    return (
-        np.float32(u * u * u / 6),
-        np.float32((3 * t - 6) * t * t / 6 + 4.0 / 6),
-        np.float32((3 * u - 6) * u * u / 6 + 4.0 / 6),
-        np.float32(t * t * t / 6),
-    )
+def _row_taps(rows: FloatArray, share: FloatArray, height: int) -> tuple[NDArray[np.int32], Float32Array]:
+    """Return (column, z, 4) rows and weights of the cubic B-spline through an image's column.
+
+    Beyond the end rows, of which there are two at least, the image goes on as it ends; splines are mirrored there.
+    """
+    position = np.clip(rows, 0.0, height - 1.0)
+    floor = np.minimum(position.astype(np.int32), height - 2)
+    t = position - floor
+    u = 1 - t
+    weights = np.stack([u**3 / 6, (3 * t - 6) * t * t / 6 + 4 / 6, (3 * u - 6) * u * u / 6 + 4 / 6, t**3 / 6], axis=-1)
+    taps = np.stack([np.abs(floor - 1), floor, floor + 1, np.minimum(floor + 2, 2 * height - 4 - floor)], axis=-1)
+    return taps.astype(np.int32), (weights * share[..., None]).astype(np.float32)
 
 
 @njit(inline="always")
@@ -135,27 +139,20 @@ def _spline_coefficients(frame: Float32Array) -> None:
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
-def _read_rows(frames: Float32Array, rows: FloatArray, share: FloatArray) -> Float32Array:
-    """(frame, row, column) -> (column, frame, z): each column at the rows that see the heights.
-
-    Beyond the end rows, of which there are two at least, the image goes on as it ends.
-    """
-    count, height, columns = frames.shape
-    depth = rows.shape[1]
-    out = np.empty((columns, count, depth), np.float32)
-    for f in prange(count):
-        coefficients = frames[f].copy()
+def _read_rows(frames: Float32Array, order: IntArray, taps: NDArray[np.int32], weights: Float32Array) -> Float32Array:
+    """(frame, row, column) -> (column, frame, z): each column at the rows that see the heights."""
+    columns, depth, _ = taps.shape
+    out = np.empty((columns, len(order), depth), np.float32)
+    for f in prange(len(order)):
+        coefficients = frames[order[f]].copy()
         _spline_coefficients(coefficients)
         for c in range(columns):
             for z in range(depth):
-                position = min(max(rows[c, z], 0.0), height - 1.0)
-                floor = min(int(position), height - 2)
-                w0, w1, w2, w3 = _b_spline(position - floor)
-                total = w0 * coefficients[abs(floor - 1), c]
-                total += w1 * coefficients[floor, c]
-                total += w2 * coefficients[floor + 1, c]
-                total += w3 * coefficients[min(floor + 2, 2 * height - 4 - floor), c]
-                out[c, f, z] = total * np.float32(share[c, z])
+                total = weights[c, z, 0] * coefficients[taps[c, z, 0], c]
+                total += weights[c, z, 1] * coefficients[taps[c, z, 1], c]
+                total += weights[c, z, 2] * coefficients[taps[c, z, 2], c]
+                total += weights[c, z, 3] * coefficients[taps[c, z, 3], c]
+                out[c, f, z] = total
     return out
 
 
