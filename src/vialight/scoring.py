@@ -206,6 +206,18 @@ class Score:
         return asdict(self)
 
 
+def judged_voxels(grid: Grid) -> BoolArray:
+    """Return (1, y, x): the circle in the grid; its corners are out of the light's way, or out of the vial.
+
+    Examples
+    --------
+    >>> judged_voxels(Grid((1, 4, 4), 1.0))[0].sum()
+    np.int64(12)
+    """
+    radius = max(grid.shape[1:]) / 2 * grid.voxel_mm
+    return np.asarray(np.hypot(grid.x_mm, grid.y_mm[:, None]) <= radius)[None]
+
+
 def score_dose(dose: Float32Array, inside: Float32Array, judged: BoolArray, patterns: Patterns | None = None) -> Score:
     """Judge a dose against the part that was meant.
 

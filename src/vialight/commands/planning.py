@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import BoolArray, Float32Array, Grid, centred
+from vialight.arrays import Float32Array, Grid, centred
 from vialight.commands.plan_settings import GivenProjections, PlanSettings
 from vialight.commands.provenance import inputs_json, versions
 from vialight.config import Rig, load_rig
@@ -28,7 +28,7 @@ from vialight.projections import (
     method_named,
     optimise,
 )
-from vialight.scoring import Score, dose_of_patterns, score_dose
+from vialight.scoring import Score, dose_of_patterns, judged_voxels, score_dose
 from vialight.store import (
     SavedState,
     read_plan,
@@ -184,7 +184,7 @@ def score_plan(plan_path: str | Path, rig_path: str | Path) -> dict[str, Any]:
 def judge(patterns: Patterns, rig: Rig, grid: Grid, target: Float32Array) -> tuple[dict[str, Any], Float32Array]:
     """Return what patterns are expected to do, with units in the names, and their dose (z, y, x)."""
     dose = dose_of_patterns(patterns, rig, grid)
-    score = score_dose(dose, target, _judged(grid), patterns)
+    score = score_dose(dose, target, judged_voxels(grid), patterns)
     return score.to_json() | exposure_json(score, patterns, rig), dose
 
 
@@ -214,11 +214,6 @@ def _light(grid: Grid, rig: Rig, room: Room, settings: PlanSettings) -> Light:
         climbing=settings.climbing and optics is not None,
         projector_blur_mm=settings.projector_blur_mm, diffusion_mm=settings.diffusion_mm,
     )  # fmt: skip
-
-
-def _judged(grid: Grid) -> BoolArray:
-    radius = max(grid.shape[1:]) / 2 * grid.voxel_mm
-    return np.asarray(np.hypot(grid.x_mm, grid.y_mm[:, None]) <= radius)[None]
 
 
 def _write(out: str | Path, plan: Plan, dose: Float32Array) -> dict[str, Any]:

@@ -91,9 +91,7 @@ def _content(plan: Plan, dose: Float32Array) -> dict[str, Any]:
 
 def _dosed(plan: Plan, dose: Float32Array) -> Dosed:
     grid, settings = plan.grid, plan.settings
-    # As a plan is judged: the corners of the grid are out of the vial or out of the light's way.
-    radius = max(grid.shape[1:]) / 2 * grid.voxel_mm
-    judged = np.hypot(grid.x_mm, grid.y_mm[:, None])[None] <= radius
+    judged = judged_voxels(grid)
     inside = plan.target >= 0.5
     bounded = settings.get("method") not in _METHODS_WITHOUT_VOID_LIMIT or bool(settings.get("bound_void"))
     return Dosed(
