@@ -34,7 +34,7 @@ def reconstruction(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_command_has_help_with_an_example() -> None:
     commands = re.findall(r"^  (\w+) ", run("--help").stdout.split("Commands:")[1], flags=re.MULTILINE)
-    assert {"reconstruct", "measure", "demo"} <= set(commands)
+    assert {"reconstruct", "measure", "plan", "export", "demo"} <= set(commands)
     for command in commands:
         text = run(command, "--help").stdout
         assert f"vialight {command}" in text.split("Example:")[1]
@@ -196,3 +196,61 @@ def test_a_file_of_a_folder_without_surface_says_what_to_do(tmp_path: Path) -> N
     done = run("measure", tmp_path, "--reference", SAMPLE / "part.stl", "--out", tmp_path / "m")
     assert done.returncode == 2
     assert "--threshold" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("plan")
+    path = folder / "plan.h5"
+    done = run(
+        "plan", SAMPLE / "part.stl", "--rig", SAMPLE / "printer.toml", "--out", path, "--voxel", 0.4, "--angles", 60,
+        "--passes", 3, "--save-state", folder / "state.npz",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def test_plan_writes_patterns_metrics_and_a_page(plan: Path) -> None:
+    assert {path.name for path in plan.parent.iterdir()} == {"plan.h5", "plan.json", "plan.html", "state.npz"}
+    metrics = json.loads(plan.with_suffix(".json").read_text())["metrics"]
+    assert 0.5 < metrics["jaccard"] <= 1
+    assert metrics["turns_to_critical_exposure"] > 0
+
+
+def test_a_plan_is_judged_under_another_rig(plan: Path, tmp_path: Path) -> None:
+    clear = tmp_path / "clear.toml"
+    clear.write_text(
+        (SAMPLE / "printer.toml").read_text().replace("absorption_per_mm = 0.08", "absorption_per_mm = 0.0")
+    )
+    same, other = (
+        json.loads(run("plan", "--score", plan, "--rig", rig, "--json").stdout)["metrics"]
+        for rig in (SAMPLE / "printer.toml", clear)
+    )
+    planned = json.loads(plan.with_suffix(".json").read_text())["metrics"]
+    assert same["jaccard"] == pytest.approx(planned["jaccard"], rel=1e-6)
+    assert other["in_part_mean"] > 1.5 * same["in_part_mean"]
+
+
+def test_patterns_are_exported_as_images(plan: Path, tmp_path: Path) -> None:
+    done = run("export", plan, "--out", tmp_path / "patterns")
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "patterns").glob("*.png"))) == 60
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.stl", "--rig", SAMPLE / "printer.toml"], "nowhere.stl"),
+        ([SAMPLE / "part.stl", "--rig", SAMPLE / "rig.toml"], "[projector]"),
+        ([SAMPLE / "part.stl", "--rig", SAMPLE / "printer.toml", "--scale", "3"], "largest"),
+        ([SAMPLE / "part.stl", "--rig", SAMPLE / "printer.toml", "--angles", "7"], "--angles"),
+        ([SAMPLE / "part.stl", "--rig", SAMPLE / "printer.toml", "--void-limit", "2"], "--void-limit"),
+    ],
+    ids=["no part", "no projector", "too large", "odd angles", "void limit"],
+)
+def test_a_plan_that_cannot_be_made_gets_one_line(arguments: list[object], message: str, tmp_path: Path) -> None:
+    done = run("plan", *arguments, "--out", tmp_path / "plan.h5")
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert message in done.stderr
+    assert not list(tmp_path.iterdir())
