@@ -86,7 +86,8 @@ def test_the_light_goes_off_and_the_vial_turns_on() -> None:
 
 def test_a_cylinder_gels_where_its_light_was() -> None:
     patterns = beam(3.0, 60)
-    part = Mesh([[-3, -3, -2], [3, -3, -2], [0, 3, -2], [0, 0, 2]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    corners = np.array([[-3, -3, -2], [3, -3, -2], [0, 3, -2], [0, 0, 2]], dtype=np.float64)
+    part = Mesh(corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]))
     grid = grid_round(part, 0.2, margin_mm=1.0)
     twin = printed(patterns, 5.3, grid, dark=1.0)
     assert np.isfinite(twin.gel_time_s).any()

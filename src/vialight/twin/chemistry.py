@@ -68,7 +68,7 @@ class Chemistry:
     """
 
     oxygen_mol_per_m3: float = 1.0
-    oxygen_diffusion_mm2_per_s: float = 1e-4
+    oxygen_diffusion_mm2_per_s: float = 3e-5
     oxygen_rate_m3_per_mol_s: float = 5e5
     quantum_yield: float = 0.5
     propagation_m3_per_mol_s: float = 0.04

@@ -34,7 +34,7 @@ class Scattering:
     """
 
     counts_per_mm: float = 200.0
-    middle_conversion: float = 0.15
+    middle_conversion: float = 0.13
     steepness: float = 12.0
 
     def __post_init__(self) -> None:

@@ -1,0 +1,192 @@
+"""Whole prints: what comes first, what resolution changes, and what the rest of vialight makes of them."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twin.test_machine import BRIGHT, QUIET, RESIN, beam
+from vialight.arrays import Float32Array, Grid
+from vialight.commands import reconstruct_recording
+from vialight.commands.simulating import simulate_print
+from vialight.config import Rig
+from vialight.errors import InputError
+from vialight.mesh import Mesh, load_mesh
+from vialight.metrology import compare
+from vialight.pipeline import Settings
+from vialight.plan import Patterns, Plan
+from vialight.store import rig_to_toml, write_plan
+from vialight.twin import ResinModel, Twin, TwinSettings, dose_of, find_rig, grid_round, play
+from vialight.twin.chemistry import cure, fresh
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+simulated_print: Any = importlib.import_module("simulated_print")
+
+
+def upright_cylinder(radius: float, height: float) -> Mesh:
+    angle = np.linspace(0, 2 * np.pi, 65)[:-1]
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    vertices = np.concatenate(
+        [np.c_[ring, np.full(64, z)] for z in (-height / 2, height / 2)] + [[[0, 0, -height / 2], [0, 0, height / 2]]]
+    )
+    i, j = np.arange(64), np.roll(np.arange(64), -1)
+    faces = [(i, j, j + 64), (i, j + 64, i + 64), (j, i, np.full(64, 128)), (i + 64, j + 64, np.full(64, 129))]
+    return Mesh(vertices, np.concatenate([np.stack(face, axis=1) for face in faces]))
+
+
+def test_a_finer_look_moves_the_surface_by_less_than_a_fiftieth_of_a_millimetre() -> None:
+    surfaces = []
+    for voxel, step in ((0.1, 1.0), (0.05, 0.5)):
+        across = 2 * round(1.4 / voxel)
+        grid = Grid((2 * round(1.2 / voxel), across, across), voxel)
+        twin = Twin(BRIGHT, RESIN, grid, replace(QUIET, chemistry_step_s=step))
+        for _ in play(twin, beam(0.9, 60, angles=90, rows=24), turns=5.3, frame_rate_hz=0.05):
+            pass
+        surfaces.append(twin.surface())
+    difference = compare(*surfaces, align="none").to_json()["as_placed"]
+    assert difference["rmse_mm"] < 0.02
+    assert difference["reverse_rmse_mm"] < 0.02
+
+
+@pytest.fixture(scope="module")
+def boat() -> tuple[Twin, Patterns]:
+    twin = Twin(
+        find_rig("orth2022-190"), RESIN, grid_round(simulated_print.boat(), simulated_print.VOXEL_MM, margin_mm=1.0)
+    )
+    return twin, simulated_print.plan_patterns(simulated_print.boat(), twin)
+
+
+def features_gel_at(dose_a_turn: Float32Array, grid: Grid, resin: ResinModel, turns: float = 17.0) -> list[float]:
+    """Return when half of hull, roof and posts has gelled, where the critical dose takes so many turns."""
+    critical = resin.chemistry.critical_dose_mj_per_cm2(resin.absorption_per_mm)
+    step_s = 3.0
+    dose = np.ascontiguousarray(dose_a_turn.transpose(1, 2, 0)) * np.float32(critical * step_s / (18.0 * turns))
+    features = [simulated_print.boxes([name], grid).transpose(1, 2, 0) for name in ("hull", "roof", "posts")]
+    state, times, seconds = fresh(grid, resin.chemistry), [np.inf] * 3, 0.0
+    while np.isinf(times).any() and seconds < 3 * 18.0 * turns:
+        state = cure(state, dose, step_s, resin.chemistry, resin.absorption_per_mm, grid.voxel_mm)
+        seconds += step_s
+        for i, feature in enumerate(features):
+            if np.isinf(times[i]) and np.median(state.conversion[feature]) >= resin.chemistry.gel_conversion:
+                times[i] = seconds
+    return times
+
+
+ASSUMED = {
+    "as assumed": {},
+    **{
+        f"{name} x {factor}": {name: getattr(RESIN.chemistry, name) * factor}
+        for factor in (0.5, 1.5)
+        for name in (
+            "oxygen_mol_per_m3", "oxygen_diffusion_mm2_per_s", "oxygen_rate_m3_per_mol_s", "quantum_yield",
+            "propagation_m3_per_mol_s", "radical_decay_per_s", "gel_conversion",
+        )
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", ASSUMED.values(), ids=ASSUMED)
+def test_hull_comes_before_posts_whatever_was_assumed(
+    boat: tuple[Twin, Patterns], doses: dict[float, Float32Array], change: dict[str, float]
+) -> None:
+    twin, _ = boat
+    resin = replace(RESIN, chemistry=replace(RESIN.chemistry, **change))
+    hull, _, posts = features_gel_at(doses[0.05], twin.grid, resin)
+    assert hull < posts < np.inf
+
+
+@pytest.fixture(scope="module")
+def doses(boat: tuple[Twin, Patterns]) -> dict[float, Float32Array]:
+    """Dose of one turn, as a share of the hull's, by the projector's blur."""
+    twin, patterns = boat
+    found = {}
+    for blur in (0.025, 0.05, 0.075):
+        dose = dose_of(patterns, twin.rig, twin.grid, blur_mm=blur)
+        found[blur] = dose / np.median(dose[simulated_print.boxes(["hull"], twin.grid)])
+    return found
+
+
+@pytest.mark.parametrize(("blur", "turns"), [(0.025, 17.0), (0.075, 17.0), (0.05, 8.5), (0.05, 25.5)])
+def test_hull_comes_before_posts_with_other_blur_and_irradiance(
+    boat: tuple[Twin, Patterns], doses: dict[float, Float32Array], blur: float, turns: float
+) -> None:
+    hull, _, posts = features_gel_at(doses[blur], boat[0].grid, RESIN, turns)
+    assert hull < posts < np.inf
+
+
+def test_the_example_shows_the_sequence(tmp_path: Path) -> None:
+    turns = simulated_print.main(tmp_path, brightness=5.0)
+    assert turns["hull"] < turns["posts"] < np.inf
+    assert {path.name for path in tmp_path.iterdir()} == {"process.png", "sequence.png"}
+
+
+@pytest.fixture(scope="module")
+def plan_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan of a cylinder, 4 mm across and 3 mm high, with the silhouette for its patterns."""
+    rig: Rig = RESIN.in_vial_of(BRIGHT)
+    part, grid = upright_cylinder(2.0, 3.0), Grid((10, 16, 16), 0.4)
+    path = tmp_path_factory.mktemp("plan") / "plan.h5"
+    target = np.zeros(grid.shape, np.float32)
+    target[:, 4:12, 4:12] = 1
+    write_plan(path, Plan(beam(2.0, 60, angles=90, rows=48), part, target, grid, rig))
+    return path
+
+
+@pytest.fixture(scope="module")
+def printer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rig") / "rig.toml"
+    path.write_text(rig_to_toml(BRIGHT))
+    return path
+
+
+def test_what_is_simulated_is_reconstructed_as_it_was(plan_path: Path, printer: Path, tmp_path: Path) -> None:
+    """Frames to surface by the closed forms, against the truth of the traced rays."""
+    settings = TwinSettings(binning=2)
+    result = simulate_print(plan_path, printer, "DUDMA", tmp_path / "run", voxel_mm=0.2, settings=settings)
+    assert result["truth"]["volume_mm3"] == pytest.approx(result["truth"]["reference_volume_mm3"], rel=0.1)
+    assert result["printed"]["frames_dropped"] == 0
+    # The density at the gel point, in binned pixels: far from half of that of cured resin.
+    scattering = RESIN.scattering
+    threshold = 4 * float(scattering.density(np.array([RESIN.chemistry.gel_conversion], np.float32))[0])
+    assert threshold < 0.6 * 4 * scattering.counts_per_mm / 2
+    run, seen = tmp_path / "run", tmp_path / "seen"
+    reconstruct_recording(
+        run / "frames.h5", run / "rig.toml", seen, settings=Settings(voxel_mm=0.15), threshold=threshold
+    )
+    placed = compare(load_mesh(seen / "surface.stl"), load_mesh(run / "truth.stl"), align="none").to_json()["as_placed"]
+    # Voxels are 0.2 mm and pixels 0.31 mm, and a threshold below half makes what is blurred look larger.
+    assert placed["rmse_mm"] < 0.12
+    assert placed["reverse_rmse_mm"] < 0.12
+    assert abs(placed["mean_mm"]) < 0.1
+
+
+def test_impossible_orders_are_refused_and_nothing_is_written(plan_path: Path, tmp_path: Path) -> None:
+    for orders, fault in (
+        ({"turns": 2.0, "dose_mj_per_cm2": 100.0}, "--turns"),
+        ({"turns": -1.0}, "--turns is -1"),
+        ({"dose_mj_per_cm2": 50.0}, "cannot gel"),
+        ({"voxel_mm": 0.0}, "--voxel"),
+    ):
+        with pytest.raises(InputError, match=fault.replace(" is", ": is")):
+            simulate_print(plan_path, "orth2022-190", "DUDMA", tmp_path / "run", **orders)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_of_the_twin_are_recorded(plan_path: Path, tmp_path: Path) -> None:
+    settings = TwinSettings(binning=4, seed=3)
+    result = simulate_print(
+        plan_path, "orth2022-145", "BPAGDA", tmp_path / "run", turns=6.0, voxel_mm=0.4, settings=settings
+    )
+    assert result["settings"]["binning"] == 4
+    assert result["rig"]["resin"]["index_imaging"] == 1.53
+    assert result["printed"]["turns_lit"] == pytest.approx(6.0, abs=0.02)
+    assert result["printed"]["frames"] == 180 * 7
+    assert result["truth"]["largest_dose_mj_per_cm2"] > result["truth"]["critical_dose_mj_per_cm2"]
+    text = (tmp_path / "run" / "rig.toml").read_text()
+    assert "pixel_mm = 0.45" in text
