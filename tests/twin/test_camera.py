@@ -15,9 +15,10 @@ from vialight.config import Camera, Resin, Rig, Vial, load_rig
 from vialight.errors import InputError
 from vialight.mesh import Mesh, load_mesh
 from vialight.store import open_frames
-from vialight.twin.camera import Sensor, StrayLight, frames_of, image_shape, imager_for
+from vialight.twin.camera import frames_of, image_shape, imager_for
 from vialight.twin.poses import Pose
 from vialight.twin.rays import points_on_disk
+from vialight.twin.sensor import Sensor, StrayLight
 
 CASES = Path(__file__).parents[3] / "shared" / "cases"
 

@@ -13,7 +13,7 @@ from vialight.errors import InputError
 from vialight.twin.exposure import add_dose, dose_of, exposer_for, writing_optics
 from vialight.twin.lightfield import light_field
 from vialight.twin.poses import Pose
-from vialight.twin.rays import trace
+from vialight.twin.rays import points_on_disk, trace
 
 
 def white(angles: int, rows: int = 120, columns: int = 380) -> np.ndarray:
@@ -136,6 +136,26 @@ def test_blur_spreads_light_and_keeps_it() -> None:
     centre = (profile * grid.y_mm).sum()
     variance = (profile * (grid.y_mm - centre) ** 2).sum()
     assert variance == pytest.approx(0.13**2 + PIXEL_MM**2 / 6, rel=2e-2)
+
+
+def test_an_open_aperture_blurs_away_from_the_focus_and_keeps_the_light() -> None:
+    """Without a vial, an edge at 4 mm from the focus is as wide as the pupil's disk over D times 4 mm."""
+    rig = printer_without_glass(0.0)
+    projector = rig.need_projector().model_copy(update={"distance_mm": 120.0})
+    rig = rig.model_copy(update={"projector": projector})
+    exposer = exposer_for(rig, 1.0, pupil_mm=points_on_disk(60, 12.0))
+    image = np.zeros((1, 61, 381), np.uint8)
+    image[0, :, 170:211] = 255
+    grid, corner = Grid((1, 90, 90), 0.1), (354, 322)
+    dose = np.zeros((90, 90, 1), np.float32)
+    add_dose(dose, exposer, image, corner, np.array([0]), [Pose(0.0)], np.array([1.0]), grid)
+    # The projector looks along +x: columns of the image lie along y.
+    at_focus, far = (dose[:, np.argmin(np.abs(grid.x_mm - x)), 0] for x in (0.05, 4.05))
+    slopes = [np.abs(np.gradient(line, grid.y_mm)).max() for line in (at_focus, far)]
+    assert slopes[0] > 255 / 0.25
+    # The chord of a disk of radius a is 2 a long, of area pi a^2: the steepest slope is 2 / (pi a).
+    assert slopes[1] == pytest.approx(255 * 2 / (np.pi * 12.0 * 4.05 / 120), rel=0.15)
+    assert far.sum() == pytest.approx(at_focus.sum(), rel=0.05)
 
 
 def test_points_in_a_voxel_average_what_finer_voxels_see() -> None:

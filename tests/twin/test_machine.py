@@ -24,8 +24,8 @@ from vialight.twin import (
     load_resin,
     play,
 )
-from vialight.twin.camera import Sensor, StrayLight
 from vialight.twin.poses import Pose
+from vialight.twin.sensor import Sensor, StrayLight
 from vialight.twin.truth import height_map
 
 RIG, RESIN = find_rig("orth2022-190"), load_resin("DUDMA")

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
-from numpy.typing import NDArray
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray, Grid
+from vialight.arrays import Float32Array, FloatArray, Grid
 from vialight.config import Camera, Optics, Rig
 from vialight.errors import InputError
+from vialight.twin.marching import march
 from vialight.twin.poses import Pose
 from vialight.twin.rays import trace
 
@@ -170,81 +169,9 @@ def frames_of(
         step = (step_mm or grid.voxel_mm) / grid.voxel_mm
         placed = np.array([grid.voxel_mm, *(grid.origin_mm[axis] for axis in (1, 2, 0))])
         for rays in imager.rays:
-            _march(density, emission, placed, bounds, rays, stood, step, extinction_mm2, frames)
+            march(density, emission, placed, bounds, rays, stood, step, extinction_mm2, frames)
         frames *= np.float32(imager.binning**2 / len(imager.rays))
     return frames
-
-
-@dataclass(frozen=True)
-class StrayLight:
-    """Light that does not come from the part, in counts of one of the rig's pixels.
-
-    Parameters
-    ----------
-    base_counts
-        Everywhere; assumed, as in the shared cases.
-    edge_counts
-        At the peak of the reflection at each edge of the vial; assumed.
-    edge_width_mm
-        Standard deviation of those peaks in the plane of the axis; assumed.
-    """
-
-    base_counts: float = 45.0
-    edge_counts: float = 60.0
-    edge_width_mm: float = 0.3
-
-    def image(self, imager: Imager) -> FloatArray:
-        """Return (row, column) expected counts of a frame without a part."""
-        rows, columns = imager.shape
-        x_c = np.abs(np.arange(columns) - imager.camera.axis_column) * imager.camera.pixel_mm
-        # The ray that touches the vial: its distance from the axis is the outer radius.
-        tangent = np.arcsin(imager.optics.outer_radius_mm / imager.optics.distance_mm)
-        edge = imager.optics.outer_radius_mm / np.cos(tangent)
-        line = self.base_counts + self.edge_counts * np.exp(-(((x_c - edge) / self.edge_width_mm) ** 2) / 2)
-        return np.broadcast_to(line * imager.binning**2, (rows, columns))
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """What turns light into numbers.
-
-    Parameters
-    ----------
-    read_noise_counts
-        Standard deviation of a pixel's read-out.
-    electrons_per_count
-        So that photon noise is that of as many electrons.
-    bits
-        Of the converter: where a pixel saturates.
-    """
-
-    read_noise_counts: float = 3.0
-    electrons_per_count: float = 1.0
-    bits: int = 12
-
-    def photograph(
-        self, expected: NDArray[np.floating], rng: np.random.Generator, *, binning: int = 1
-    ) -> NDArray[np.uint16]:
-        """Count photons and read them out.
-
-        Parameters
-        ----------
-        expected
-            Counts, of any shape, summed over binned pixels.
-        rng
-            Source of noise.
-        binning
-            Of the frame: read noise and the largest count are those of so many pixels squared.
-
-        Returns
-        -------
-        numpy.ndarray
-            uint16, of the shape of `expected`.
-        """
-        counted = rng.poisson(np.asarray(expected, dtype=np.float64) * self.electrons_per_count)
-        read = rng.normal(0.0, self.read_noise_counts * binning, expected.shape)
-        highest = min((2**self.bits - 1) * binning**2, 65535)
-        return np.clip(np.rint(counted / self.electrons_per_count + read), 0, highest).astype(np.uint16)
 
 
 def _lit_from_above(density: Float32Array, voxel_mm: float, extinction_mm2: float) -> Float32Array:
@@ -263,77 +190,3 @@ def _occupied(density: Float32Array) -> FloatArray | None:
         where = np.flatnonzero(full.any(axis=tuple(other for other in range(3) if other != axis)))
         bounds += [where[0] - 1.0, where[-1] + 1.0]
     return np.array(bounds, dtype=np.float64)
-
-
-@njit(fastmath=FAST_MATH, cache=True)
-def _clip(start: float, slope: float, low: float, high: float, enter: float, leave: float) -> tuple[float, float]:
-    """Shorten a stretch of a ray to where one coordinate lies within bounds."""
-    if abs(slope) < 1e-12:
-        return (enter, leave) if low <= start <= high else (1.0, 0.0)
-    a, b = (low - start) / slope, (high - start) / slope
-    return max(enter, min(a, b)), min(leave, max(a, b))
-
-
-@njit(fastmath=FAST_MATH, inline="always")
-def _sample(volume: Float32Array, y: float, x: float, z: float) -> float:
-    """Interpolate linearly between voxel centres; beyond them density falls to 0 within a voxel."""
-    j, i, k = int(np.floor(y)), int(np.floor(x)), int(np.floor(z))
-    v, u, w = np.float32(y - j), np.float32(x - i), np.float32(z - k)
-    total = np.float32(0)
-    rows, columns, depth = volume.shape
-    if 0 <= j < rows - 1 and 0 <= i < columns - 1 and 0 <= k < depth - 1:
-        a = volume[j, i, k] + w * (volume[j, i, k + 1] - volume[j, i, k])
-        b = volume[j, i + 1, k] + w * (volume[j, i + 1, k + 1] - volume[j, i + 1, k])
-        c = volume[j + 1, i, k] + w * (volume[j + 1, i, k + 1] - volume[j + 1, i, k])
-        d = volume[j + 1, i + 1, k] + w * (volume[j + 1, i + 1, k + 1] - volume[j + 1, i + 1, k])
-        a, c = a + u * (b - a), c + u * (d - c)
-        return float(a + v * (c - a))
-    for dj in range(2):
-        for di in range(2):
-            for dk in range(2):
-                if 0 <= j + dj < rows and 0 <= i + di < columns and 0 <= k + dk < depth:
-                    weight = (v if dj else 1 - v) * (u if di else 1 - u) * (w if dk else 1 - w)
-                    total += weight * volume[j + dj, i + di, k + dk]
-    return float(total)
-
-
-@njit(parallel=True, fastmath=FAST_MATH, cache=True)
-def _march(
-    density: Float32Array, emission: Float32Array, placed: FloatArray, bounds: FloatArray, rays: FloatArray,
-    stood: FloatArray, step: float, extinction: float, frames: Float32Array,
-) -> None:  # fmt: skip
-    voxel, first_y, first_x, first_z = placed
-    rows, columns, _ = rays.shape
-    for job in prange(len(stood) * rows):
-        f, row = job // rows, job % rows
-        cosine, sine = np.cos(stood[f, 0]), np.sin(stood[f, 0])
-        shift_x, shift_y, tilt_x, tilt_y = stood[f, 1], stood[f, 2], stood[f, 3], stood[f, 4]
-        for column in range(columns):
-            if np.isnan(rays[row, column, 0]):
-                continue
-            # Into the object: back by shift, tilt and turn; then in voxels.
-            x, y, z = rays[row, column, 0] - shift_x, rays[row, column, 1] - shift_y, rays[row, column, 2]
-            dx, dy, dz = rays[row, column, 3], rays[row, column, 4], rays[row, column, 5]
-            x, y, z = x - tilt_x * z, y - tilt_y * z, z + tilt_x * x + tilt_y * y
-            dx, dy, dz = dx - tilt_x * dz, dy - tilt_y * dz, dz + tilt_x * dx + tilt_y * dy
-            x, y = cosine * x + sine * y, cosine * y - sine * x
-            dx, dy = cosine * dx + sine * dy, cosine * dy - sine * dx
-            x, y, z = (x - first_x) / voxel, (y - first_y) / voxel, (z - first_z) / voxel
-            enter, leave = _clip(y, dy, bounds[0], bounds[1], 0.0, 1e9)
-            enter, leave = _clip(x, dx, bounds[2], bounds[3], enter, leave)
-            enter, leave = _clip(z, dz, bounds[4], bounds[5], enter, leave)
-            if leave <= enter:
-                continue
-            count = int(np.ceil((leave - enter) / step))
-            length = (leave - enter) / count
-            total, passed = 0.0, 0.0
-            for n in range(count):
-                t = enter + (n + 0.5) * length
-                at_y, at_x, at_z = y + t * dy, x + t * dx, z + t * dz
-                if extinction > 0:
-                    thick = extinction * length * voxel * _sample(density, at_y, at_x, at_z)
-                    total += _sample(emission, at_y, at_x, at_z) * np.exp(-passed - thick / 2)
-                    passed += thick
-                else:
-                    total += _sample(emission, at_y, at_x, at_z)
-            frames[f, row, column] += np.float32(total * length * voxel)

@@ -15,13 +15,14 @@ from vialight.arrays import Float32Array, Grid
 from vialight.config import Rig
 from vialight.errors import InputError
 from vialight.mesh import Mesh
-from vialight.twin.camera import Sensor, StrayLight, frames_of, imager_for
+from vialight.twin.camera import frames_of, imager_for
 from vialight.twin.chemistry import Cure, cure, fresh
 from vialight.twin.exposure import add_dose, exposer_for
 from vialight.twin.faults import Faults
 from vialight.twin.poses import Pose
 from vialight.twin.presets import ResinModel
 from vialight.twin.rays import points_on_disk
+from vialight.twin.sensor import Sensor, StrayLight
 from vialight.twin.truth import gel_times, gelled_surface
 
 _LARGEST_TURN_RAD = float(np.radians(1.0))
@@ -46,6 +47,8 @@ class TwinSettings:
         Of the camera; 1 pose freezes the motion, more blur it.
     pupil_radius_mm, pupil_points, focus_mm
         Of the camera's aperture; 1 point is a pinhole.
+    projector_pupil_radius_mm, projector_pupil_points
+        Of the projector's aperture, focused on the axis in air.
     extinction_mm2
         See `vialight.twin.camera.frames_of`.
     stray, sensor, faults
@@ -65,6 +68,8 @@ class TwinSettings:
     pupil_radius_mm: float = 0.0
     pupil_points: int = 1
     focus_mm: float = 0.0
+    projector_pupil_radius_mm: float = 0.0
+    projector_pupil_points: int = 1
     extinction_mm2: float = 0.0
     stray: StrayLight = StrayLight()  # noqa: RUF009  frozen
     sensor: Sensor = Sensor()  # noqa: RUF009  frozen
@@ -133,7 +138,10 @@ class Twin:
                 accepted="that of level 255 in air, in the plane of the axis", remedy="add it",
             )  # fmt: skip
         self._mj_per_level_s = settings.faults.projector_gain * projector.irradiance_mw_per_cm2 / 255
-        self._exposer = exposer_for(self.rig, float(np.abs(grid.z_mm).max()) + grid.voxel_mm, blur_mm=settings.blur_mm)
+        self._exposer = exposer_for(
+            self.rig, float(np.abs(grid.z_mm).max()) + grid.voxel_mm, blur_mm=settings.blur_mm,
+            pupil_mm=points_on_disk(settings.projector_pupil_points, settings.projector_pupil_radius_mm),
+        )  # fmt: skip
         self._imager = imager_for(
             self.rig, settings.image_shape, binning=settings.binning, rays_a_side=settings.rays_a_side,
             pupil_mm=points_on_disk(settings.pupil_points, settings.pupil_radius_mm), focus_mm=settings.focus_mm,
