@@ -201,6 +201,8 @@ def transmission(x_c_mm: ArrayLike, z_c_mm: ArrayLike, optics: Optics) -> FloatA
         (optics.outer_radius_mm, 1.0, optics.wall_index),
         (optics.inner_radius_mm, optics.wall_index, optics.resin_index),
     ]
+    if optics.outer_radius_mm == optics.inner_radius_mm:  # no glass
+        surfaces = [(optics.outer_radius_mm, 1.0, optics.resin_index)]
     total = np.ones(x_c.shape)
     for radius, before, after in surfaces:
         # Cosines of incidence and refraction: of the angle seen from above times that of the climb.
