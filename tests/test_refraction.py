@@ -15,8 +15,10 @@ from vialight.refraction import (
     camera_to_virtual,
     height_to_camera,
     small_angle_camera_to_virtual,
+    transmission,
     virtual_to_camera,
 )
+from vialight.twin.rays import trace as trace_with_losses
 
 MACHINES = {
     "shared cases": Optics(12.4, 11.3, 1.472, 1.48, 190.0),
@@ -200,3 +202,27 @@ def test_the_papers_small_angle_forms_are_short_by_r2_over_d2_near_the_axis() ->
     short = 1 - small_angle_camera_to_virtual(x_c, optics)[0] / camera_to_virtual(x_c, 0.0, optics).virtual_x_mm
     np.testing.assert_allclose(short, (12.4 / 145) ** 2, rtol=1e-3)
     assert small_angle_camera_to_virtual(0.0, optics)[0] == 0
+
+
+@pytest.mark.parametrize("optics", MACHINES.values(), ids=MACHINES)
+def test_as_much_light_gets_through_as_tracing_finds(optics: Optics) -> None:
+    x_c, z_c = columns_across(optics), np.linspace(-12, 12, 9)[:, None]
+    traced = trace_with_losses(x_c, z_c, optics).transmission
+    np.testing.assert_allclose(transmission(x_c, z_c, optics), traced, rtol=0, atol=1e-10)
+
+
+def test_light_that_meets_the_glass_straight_on_loses_what_indices_tell() -> None:
+    """Each surface reflects ``((n1 - n2) / (n1 + n2))^2``; a vial without a wall has one surface."""
+    glass = (1 - (0.472 / 2.472) ** 2) * (1 - (0.008 / 2.952) ** 2)
+    assert float(transmission(0.0, 0.0, Optics(12.4, 11.3, 1.472, 1.48, 190.0))) == pytest.approx(glass, abs=1e-12)
+    bare = 1 - (0.48 / 2.48) ** 2
+    assert float(transmission(0.0, 0.0, Optics(12.4, 12.4, 1.8, 1.48, 190.0))) == pytest.approx(bare, abs=1e-12)
+    assert float(transmission(0.0, 0.0, Optics(12.4, 12.4, 1.8, 1.0, 190.0))) == pytest.approx(1, abs=1e-12)
+
+
+def test_no_light_gets_to_where_no_ray_does() -> None:
+    optics = MACHINES["shared cases"]
+    x_c = np.array([0.0, 12.2, 13.0, -14.0])
+    assert (transmission(x_c, 0.0, optics) > 0).tolist() == [True, True, False, False]
+    lighter = Optics(12.4, 9.0, 1.5, 1.2, 145.0)
+    assert float(transmission(10.9, 0.0, lighter)) == 0

@@ -128,7 +128,7 @@ def test_osmo_raises_inside_what_is_below_high_and_lowers_outside_what_is_above_
 def test_gradient_steps_down_the_slope_of_the_cost() -> None:
     """Its slope is that of finite differences: collecting twice the error."""
     goal, light, _ = small_goal(1, 0.4, 24)
-        rng = np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     at = np.maximum(filtered_projections(goal.inside * goal.reach, light), 0)
     way = rng.normal(size=at.shape).astype(np.float32) * np.float32(0.01)
 
