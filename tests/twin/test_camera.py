@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from vialight.arrays import FloatArray, Grid
+from vialight.arrays import Float32Array, FloatArray, Grid
 from vialight.config import Camera, Resin, Rig, Vial, load_rig
 from vialight.errors import InputError
 from vialight.mesh import Mesh, load_mesh
@@ -32,14 +32,15 @@ def bare(distance_mm: float = np.inf) -> Rig:
     )
 
 
-def ball(grid: Grid, centre: tuple[float, float, float], width: float) -> np.ndarray:
+def ball(grid: Grid, centre: tuple[float, float, float], width: float) -> Float32Array:
     """A Gaussian density (y, x, z) about (x, y, z)."""
     x, y, z = centre
-    return (
+    density = (
         np.exp(-((grid.y_mm - y) ** 2) / (2 * width**2))[:, None, None]
         * np.exp(-((grid.x_mm - x) ** 2) / (2 * width**2))[:, None]
         * np.exp(-((grid.z_mm - z) ** 2) / (2 * width**2))
-    ).astype(np.float32)
+    )
+    return np.asarray(density, dtype=np.float32)
 
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="the shared cases are not here")
@@ -133,6 +134,27 @@ def test_what_lies_above_shadows_and_what_lies_in_front_hides() -> None:
     towards_camera = (1 - np.exp(-k * 6.0)) / k
     assert frame[row, 88] == pytest.approx(200 * np.exp(-k * depth_mm) * towards_camera, rel=0.02)
     assert frame[row - 4, 88] / frame[row, 88] == pytest.approx(np.exp(k * 4 * 0.155), rel=0.01)
+
+
+def test_rays_bend_towards_the_higher_index() -> None:
+    """A Gaussian bump of index turns a ray by the slope of its line integral, over the index."""
+    grid, width, bump = Grid((60, 100, 100), 0.1), 0.8, np.float32(0.01)
+    rise = bump * ball(grid, (0.0, -2.0, 0.0), width)  # over an index of 1
+    # Behind it a screen whose density tells where it is seen.
+    density = np.zeros_like(rise)
+    density[np.abs(grid.y_mm - 3.0) < 0.12] = (200 + 40 * grid.x_mm)[:, None]
+    imager = imager_for(bare())
+    straight = frames_of(density, grid, imager, [Pose(0.0)], step_mm=0.02)[0]
+    bent = frames_of(density, grid, imager, [Pose(0.0)], index_rise=rise, step_mm=0.02)[0]
+    x = (np.arange(176) - 87.5) * 0.155
+    seen = np.abs(x) < 2
+    level = straight[60, seen] / (200 + 40 * x[seen])
+    moved = (bent[60, seen] - straight[60, seen]) / level / 40
+    turned = -bump * np.sqrt(2 * np.pi) * x[seen] / width * np.exp(-((x[seen] / width) ** 2) / 2)
+    np.testing.assert_allclose(moved, 5.0 * turned, atol=6e-3)
+    assert np.abs(moved).max() > 0.04
+    with pytest.raises(InputError, match="extinction"):
+        frames_of(density, grid, imager, [Pose(0.0)], index_rise=rise, extinction_mm2=1e-3)
 
 
 def test_an_open_aperture_blurs_what_is_out_of_focus() -> None:

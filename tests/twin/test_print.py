@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import igl
 import numpy as np
 import pytest
 
@@ -60,6 +61,29 @@ def boat() -> tuple[Twin, Patterns]:
         find_rig("orth2022-190"), RESIN, grid_round(simulated_print.boat(), simulated_print.VOXEL_MM, margin_mm=1.0)
     )
     return twin, simulated_print.plan_patterns(simulated_print.boat(), twin)
+
+
+def test_a_print_is_truest_at_the_right_stop(boat: tuple[Twin, Patterns]) -> None:
+    """Deviation from the design, print to design and back, falls to below 0.1 mm and rises again."""
+    planned, patterns = boat
+    projector = planned.rig.need_projector()
+    bright = projector.model_copy(update={"irradiance_mw_per_cm2": 300.0})
+    twin = Twin(planned.rig.model_copy(update={"projector": bright}), RESIN, planned.grid, QUIET)
+    design, worst = simulated_print.boat(), []
+    for _ in play(twin, patterns, turns=5.5, dark_turns=0.0, frame_rate_hz=1 / 6):
+        if twin.gelled_volume_mm3 > 5:
+            there, back = (rms_distance(*pair) for pair in ((twin.surface(), design), (design, twin.surface())))
+            worst.append(max(there, back))
+    best = int(np.argmin(worst))
+    assert worst[best] < 0.10
+    assert worst[0] > 1.5 * worst[best]
+    assert worst[-1] > 1.5 * worst[best]
+    assert (np.diff(worst)[best:] > -0.005).all()
+
+
+def rms_distance(of: Mesh, to: Mesh) -> float:
+    squared = igl.point_mesh_squared_distance(of.vertices_mm, to.vertices_mm, to.faces)[0]
+    return float(np.sqrt(np.mean(squared)))
 
 
 def features_gel_at(dose_a_turn: Float32Array, grid: Grid, resin: ResinModel, turns: float = 17.0) -> list[float]:

@@ -14,7 +14,7 @@ import numpy as np
 from vialight.arrays import Float32Array, FloatArray, Grid
 from vialight.config import Camera, Optics, Rig
 from vialight.errors import InputError
-from vialight.twin.marching import march
+from vialight.twin.marching import march, march_bent
 from vialight.twin.poses import Pose
 from vialight.twin.rays import trace
 
@@ -124,6 +124,7 @@ def frames_of(
     poses: Sequence[Pose],
     *,
     extinction_mm2: float = 0.0,
+    index_rise: Float32Array | None = None,
     step_mm: float | None = None,
 ) -> Float32Array:
     """Integrate a density along every pixel's ray, without noise.
@@ -141,6 +142,8 @@ def frames_of(
     extinction_mm2
         Light lost per mm, over the density in counts per mm: both the light from above, which what lies higher
         shadows, and the scattered light on its way to the camera.  0: what scatters does not dim.
+    index_rise
+        (y, x, z) float32, the resin's index over that of liquid resin: rays bend.  None: they are straight.
     step_mm
         Between samples along a ray; by default a voxel.
 
@@ -148,6 +151,11 @@ def frames_of(
     -------
     numpy.ndarray
         (frame, row, column) float32 counts, summed over binned pixels.
+
+    Raises
+    ------
+    InputError
+        Both extinction and an index that rises are asked for.
 
     Examples
     --------
@@ -161,15 +169,23 @@ def frames_of(
     >>> frames[0, 60, 88].round(-1)
     np.float32(2000.0)
     """
+    if index_rise is not None and extinction_mm2 > 0:
+        raise InputError(
+            "extinction_mm2", f"is {extinction_mm2} while rays bend", accepted="0", remedy="choose one of the two"
+        )
     emission = _lit_from_above(density, grid.voxel_mm, extinction_mm2) if extinction_mm2 > 0 else density
     stood = np.array([pose.seen_from(0.0) for pose in poses])
     frames = np.zeros((len(poses), *imager.shape), np.float32)
-    bounds = _occupied(density)
+    bounds = _occupied(density if index_rise is None else density + index_rise)
     if bounds is not None and len(poses):
         step = (step_mm or grid.voxel_mm) / grid.voxel_mm
         placed = np.array([grid.voxel_mm, *(grid.origin_mm[axis] for axis in (1, 2, 0))])
         for rays in imager.rays:
-            march(density, emission, placed, bounds, rays, stood, step, extinction_mm2, frames)
+            if index_rise is None:
+                march(density, emission, placed, bounds, rays, stood, step, extinction_mm2, frames)
+            else:
+                relative = index_rise / np.float32(imager.optics.resin_index)
+                march_bent(emission, relative, placed, bounds, rays, stood, step, frames)
         frames *= np.float32(imager.binning**2 / len(imager.rays))
     return frames
 

@@ -51,6 +51,8 @@ class TwinSettings:
         Of the projector's aperture, focused on the axis in air.
     extinction_mm2
         See `vialight.twin.camera.frames_of`.
+    index_rise
+        By which the resin's index would be higher at full conversion: bends the camera's rays; 0 leaves them straight.
     stray, sensor, faults
         What is added to the ideal.
     seed
@@ -71,6 +73,7 @@ class TwinSettings:
     projector_pupil_radius_mm: float = 0.0
     projector_pupil_points: int = 1
     extinction_mm2: float = 0.0
+    index_rise: float = 0.0
     stray: StrayLight = StrayLight()  # noqa: RUF009  frozen
     sensor: Sensor = Sensor()  # noqa: RUF009  frozen
     faults: Faults = Faults()  # noqa: RUF009  frozen
@@ -215,7 +218,11 @@ class Twin:
             density = self.density()
             offsets = (np.arange(settings.poses_a_frame) + 0.5) / settings.poses_a_frame - 0.5
             poses = [faults.pose(self.true_angle_rad(self.time_s + share * settings.exposure_s)) for share in offsets]
-            seen = frames_of(density, self._shrunk_grid(), self._imager, poses, extinction_mm2=settings.extinction_mm2)
+            rise = np.float32(settings.index_rise) * self.state.conversion if settings.index_rise else None
+            seen = frames_of(
+                density, self._shrunk_grid(), self._imager, poses, extinction_mm2=settings.extinction_mm2,
+                index_rise=rise,
+            )  # fmt: skip
             expected = (seen.mean(axis=0) + self._stray) * (1 + faults.led_drift_per_s * self.time_s)
         counts = settings.sensor.photograph(np.maximum(expected, 0), self._rng, binning=settings.binning)
         recorded_s = self.time_s + (self._rng.normal(0, faults.timestamp_jitter_s) if faults.timestamp_jitter_s else 0)
