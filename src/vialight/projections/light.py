@@ -119,7 +119,8 @@ def collect(volume: Float32Array, light: Light) -> Float32Array:
 
 def filtered_projections(volume: Float32Array, light: Light, filter_name: FilterName = "ram-lak") -> Float32Array:
     """Return the projections, negative ones included, whose dose is the volume but for absorption and blur."""
-    geometry = replace(light.geometry, absorption_per_mm=0.0, tilt_per_mm=None, z_mm=None, from_both_sides=True)
+    # With the same climb as the dose, the pair stays symmetric, and iterations on it stable.
+    geometry = replace(light.geometry, absorption_per_mm=0.0)
     # A column of voxels in a strip is one voxel long for each; half, as light comes from both sides of the turn.
     scale = np.float32(geometry.voxel_mm**2 / geometry.spacing_mm / 2)
     matrix = ramp_filter(filter_name, geometry.samples, geometry.spacing_mm) * scale
