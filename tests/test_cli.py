@@ -68,17 +68,17 @@ def test_measure_takes_the_folder_and_prints_json_alone(reconstruction: Path, tm
 
 
 def test_the_readme_commands_run(tmp_path: Path) -> None:
-    """The worked example, line by line, as it stands in the README."""
-    block = re.search(r"```sh\n(vialight .*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
-    assert block
-    for name in ("frames.h5", "rig.toml", "part.stl"):
+    """The worked examples, line by line, as they stand in the README."""
+    blocks = re.findall(r"```sh\n(vialight .*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    for name in ("frames.h5", "rig.toml", "part.stl", "printer.toml"):
         shutil.copy(SAMPLE / name, tmp_path)
-    lines = block.group(1).strip().splitlines()
-    assert len(lines) >= 2
+    lines = "".join(blocks).strip().splitlines()
+    assert len(lines) >= 4
     for line in lines:
         done = run(*shlex.split(line, comments=True)[1:], cwd=tmp_path)
         assert done.returncode == 0, (line, done.stderr)
     assert (tmp_path / "print" / "report.html").is_file()
+    assert (tmp_path / "plan.html").is_file()
 
 
 def frames_file(path: Path, *, frames: int = 180, theta: np.ndarray | None = None) -> Path:
