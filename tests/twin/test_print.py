@@ -11,9 +11,11 @@ from typing import Any
 import igl
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from twin.test_machine import BRIGHT, QUIET, RESIN, beam
 from vialight.arrays import Float32Array, Grid
+from vialight.cli import main
 from vialight.commands import reconstruct_recording
 from vialight.commands.simulating import simulate_print
 from vialight.config import Rig
@@ -199,6 +201,16 @@ def test_impossible_orders_are_refused_and_nothing_is_written(plan_path: Path, t
     ):
         with pytest.raises(InputError, match=fault.replace(" is", ": is")):
             simulate_print(plan_path, "orth2022-190", "DUDMA", tmp_path / "run", **orders)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_line_tells_a_missing_resin_in_one_line(plan_path: Path, tmp_path: Path) -> None:
+    order = ["simulate", str(plan_path), "--rig", "orth2022-190", "--resin", "PEGDA", "--out", str(tmp_path / "run")]
+    told = CliRunner().invoke(main, order)
+    assert told.exit_code == 2
+    (line,) = told.stderr.splitlines()
+    assert line.startswith("vialight: PEGDA: cannot be read")
+    assert "BPAGDA, DUDMA" in line
     assert not list(tmp_path.iterdir())
 
 
