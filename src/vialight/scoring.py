@@ -104,10 +104,10 @@ def light_of_patterns(
     rays = pixel_rays(projector.columns, projector.rows, camera, optics, absorption)
     column, row, direction = _pixels_of(s_mm, z_mm, rig)
     out = np.zeros((len(psi_rad), len(s_mm), len(z_mm)), np.float32)
-    step, sense = patterns.step_rad, rig.stage.direction
+    step, sense, turned = patterns.step_rad, rig.stage.direction, psi_rad + np.radians(projector.azimuth_deg)
     _look_up(
         patterns.levels, patterns.first_row, patterns.first_column, row, _widths(row, 1), column, _widths(column, 0),
-        sense * direction / step, (sense * (psi_rad + np.radians(projector.azimuth_deg)) - patterns.angles_rad[0]) / step,
+        sense * direction / step, (sense * turned - patterns.angles_rad[0]) / step,
         (rays.delivery * patterns.dose_rate_per_level).astype(np.float32), out,
     )  # fmt: skip
     return out
@@ -127,7 +127,7 @@ def _pixels_of(s_mm: FloatArray, z_mm: FloatArray, rig: Rig) -> tuple[FloatArray
 
 def _widths(position: FloatArray, axis: int) -> FloatArray:
     """Return how many pixels each of two or more samples spans."""
-    return np.abs(np.asarray(np.gradient(position, axis=axis)))
+    return np.abs(np.asarray(np.gradient(position, axis=axis), dtype=np.float64))
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
@@ -202,8 +202,8 @@ class Score:
     light_efficiency: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures under their names."""
-        return asdict(self)
+        """Return the figures under their names; None for what is not known, as JSON has no NaN."""
+        return {name: None if np.isnan(value) else value for name, value in asdict(self).items()}
 
 
 def judged_voxels(grid: Grid) -> BoolArray:
