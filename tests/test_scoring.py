@@ -50,7 +50,8 @@ def test_relative_figures_are_shares_of_the_largest_in_part_dose() -> None:
 def test_voxels_that_are_not_judged_do_not_count() -> None:
     judged = np.array([[[True, True, True, False, False]]])
     score = score_dose(row(1.0, 0.9, 0.2, 5.0, 0.0), row(1, 1, 0, 0, 1), judged)
-    assert (score.jaccard, score.void_max, score.voxel_error_rate) == (1.0, pytest.approx(0.2), 0.0)
+    assert (score.jaccard, score.voxel_error_rate) == (1.0, 0.0)
+    assert score.void_max == pytest.approx(0.2)
 
 
 def test_half_covered_voxels_are_meant_to_cure() -> None:

@@ -32,7 +32,8 @@ def disk(layout: StripGeometry, x: float, y: float, radius: float, subs: int = 8
     fine_x, fine_y = ((axis[:, None] + shift).ravel() for axis in (layout.x_mm, layout.y_mm))
     inside = np.hypot(fine_x - x, fine_y[:, None] - y) < radius
     shape = (len(layout.y_mm), subs, len(layout.x_mm), subs)
-    return inside.reshape(shape).mean(axis=(1, 3))[:, :, None].astype(np.float32)
+    share: Float32Array = inside.reshape(shape).mean(axis=(1, 3))[:, :, None].astype(np.float32)
+    return share
 
 
 @settings(max_examples=25, deadline=None)
@@ -93,7 +94,7 @@ def test_the_sinogram_of_a_disk_is_its_chord(x: float, y: float) -> None:
     The RMS error is 0.012 mm at 0.1 mm voxels, for chords of up to 2.6 mm: voxels blunt the edge.  Away from it, it is
     0.004 mm, and areas are true to 1e-3.
     """
-    radius, psi = 1.3, np.arange(24) * (2 * np.pi / 24)
+    radius, psi = 1.3, np.arange(24, dtype=np.float64) * (2 * np.pi / 24)
     layout = geometry(psi, samples=70, width=0.1, across=64, voxel=0.1)
     found = project_strips(disk(layout, x, y, radius), layout)[:, :, 0] * 0.1
     middle = x * np.cos(psi) - y * np.sin(psi)
@@ -118,8 +119,10 @@ def test_absorbed_light_falls_exponentially_along_its_way() -> None:
 
 def test_light_from_both_sides_is_the_mean_of_light_from_each() -> None:
     rng = np.random.default_rng(1)
-    psi = np.arange(5) * (np.pi / 5)
-    one_way = replace(geometry(psi), absorption_per_mm=0.1, tilt_per_mm=0.01 + 1e-4 * np.arange(40) ** 2)
+    psi = np.arange(5, dtype=np.float64) * (np.pi / 5)
+    one_way = replace(
+        geometry(psi), absorption_per_mm=0.1, tilt_per_mm=0.01 + 1e-4 * np.arange(40, dtype=np.float64) ** 2
+    )
     # Tilts are even in s, as the vial is.
     assert one_way.tilt_per_mm is not None
     even = (one_way.tilt_per_mm + one_way.tilt_per_mm[::-1]) / 2

@@ -36,8 +36,8 @@ def closest_points(x_c: FloatArray, z_c: FloatArray, optics: Optics) -> tuple[Fl
 def test_delivery_is_traced_light_over_traced_area(optics: Optics, absorption: float) -> None:
     """Neighbouring rays traced: areas by differences of 0.1 um, loss by Fresnel as vectors and by length of path."""
     rays = pixel_rays(COLUMNS, ROWS, CAMERA, optics, absorption)
-    x_c = (np.arange(COLUMNS) - CAMERA.axis_column) * CAMERA.pixel_mm
-    z_c = (CAMERA.optical_row - np.arange(ROWS))[:, None] * CAMERA.pixel_mm
+    x_c = (np.arange(COLUMNS, dtype=np.float64) - CAMERA.axis_column) * CAMERA.pixel_mm
+    z_c = (CAMERA.optical_row - np.arange(ROWS, dtype=np.float64))[:, None] * CAMERA.pixel_mm
     x_c, z_c = np.broadcast_arrays(x_c, z_c)
     d = 1e-4
     (right, right_z, _), (left, left_z, _) = (closest_points(x_c + side, z_c, optics) for side in (d, -d))
@@ -54,8 +54,8 @@ def test_delivery_is_traced_light_over_traced_area(optics: Optics, absorption: f
 def test_light_handed_on_is_light_sent_less_what_is_reflected(optics: Optics) -> None:
     """Without absorption: delivery times the area lit is the pixel's area times its transmission."""
     rays = pixel_rays(COLUMNS, ROWS, CAMERA, optics)
-    x_c = (np.arange(COLUMNS) - CAMERA.axis_column) * CAMERA.pixel_mm
-    z_c = (CAMERA.optical_row - np.arange(ROWS))[:, None] * CAMERA.pixel_mm
+    x_c = (np.arange(COLUMNS, dtype=np.float64) - CAMERA.axis_column) * CAMERA.pixel_mm
+    z_c = (CAMERA.optical_row - np.arange(ROWS, dtype=np.float64))[:, None] * CAMERA.pixel_mm
     lit = rays.delivery > 0
     handed_on = (rays.delivery * rays.width_mm * rays.height_mm)[lit]
     np.testing.assert_allclose(handed_on, (transmission(x_c, z_c, optics) * CAMERA.pixel_mm**2)[lit], rtol=1e-9)

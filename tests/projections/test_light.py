@@ -106,7 +106,7 @@ def test_half_a_turn_from_both_sides_is_a_full_turn(climbing: bool) -> None:
     rng = np.random.default_rng(1)
     tilt = 0.006 + 1e-5 * np.square(np.arange(30) - 14.5)
     half = light_for(grid, 20, absorption_per_mm=0.08, tilt_at=tilt, climbing=climbing)
-    psi = np.arange(20) * (np.pi / 10)
+    psi = np.arange(20, dtype=np.float64) * (np.pi / 10)
     full = replace(half, geometry=replace(half.geometry, psi_rad=psi, from_both_sides=False))
     light = rng.random((10, 30, 8), np.float32)
     # Where a voxel's middle is between two strips, either's tilt does.
