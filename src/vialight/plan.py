@@ -24,7 +24,7 @@ class Patterns:
         (angle, row, column) uint8: the part of the projector's image that is not always black.
     angles_rad
         (angle,) stage angles, ascending and evenly spaced over a full turn; a pattern is due while the stage is nearer
-        to its angle than to any other.
+        to its angle than to any other.  Counter-clockwise seen from above, whichever way the stage counts or turns.
     first_row, first_column
         Where in the projector's image the part begins.
     dose_rate_per_level

@@ -104,10 +104,10 @@ def light_of_patterns(
     rays = pixel_rays(projector.columns, projector.rows, camera, optics, absorption)
     column, row, direction = _pixels_of(s_mm, z_mm, rig)
     out = np.zeros((len(psi_rad), len(s_mm), len(z_mm)), np.float32)
-    step, sense, turned = patterns.step_rad, rig.stage.direction, psi_rad + np.radians(projector.azimuth_deg)
+    step, turned = patterns.step_rad, psi_rad + np.radians(projector.azimuth_deg)
     _look_up(
         patterns.levels, patterns.first_row, patterns.first_column, row, _widths(row, 1), column, _widths(column, 0),
-        sense * direction / step, (sense * turned - patterns.angles_rad[0]) / step,
+        direction / step, (turned - patterns.angles_rad[0]) / step,
         (rays.delivery * patterns.dose_rate_per_level).astype(np.float32), out,
     )  # fmt: skip
     return out

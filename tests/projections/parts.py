@@ -16,9 +16,9 @@ RIG = printer(0.08)
 
 
 def star(grid: Grid, void_slices: int = 0) -> Float32Array:
-    """A star of five arms with a hole beside the axis, (y, x, z), uniform along z; radius 4 mm."""
+    """A star of five arms with a hole, unlike its mirror image, (y, x, z), uniform along z; radius 4 mm."""
     r, angle = np.hypot(grid.x_mm, grid.y_mm[:, None]), np.arctan2(grid.y_mm[:, None], grid.x_mm)
-    plan = (r < 3.2 + 0.8 * np.cos(5 * angle)) & (np.hypot(grid.x_mm - 1, grid.y_mm[:, None]) > 0.8)
+    plan = (r < 3.2 + 0.8 * np.cos(5 * angle)) & (np.hypot(grid.x_mm - 0.8, grid.y_mm[:, None] - 0.6) > 0.8)
     inside = np.repeat(plan[:, :, None], grid.shape[0], axis=2).astype(np.float32)
     if void_slices:
         inside[:, :, :void_slices] = inside[:, :, -void_slices:] = 0

