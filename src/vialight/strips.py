@@ -82,6 +82,7 @@ def backproject_strips(projections: Float32Array, geometry: StripGeometry) -> Fl
     numpy.ndarray
         (y, x, z) float32.
     """
+    _check(projections.shape[:2], (len(geometry.psi_rad), geometry.samples))
     dose = np.zeros((len(geometry.y_mm), len(geometry.x_mm), projections.shape[2]), np.float32)
     if geometry.z_mm is None:
         _backproject(np.ascontiguousarray(projections), *_plain(geometry), dose)
@@ -105,12 +106,19 @@ def project_strips(volume: Float32Array, geometry: StripGeometry) -> Float32Arra
     numpy.ndarray
         (psi, s, z) float32: for voxels as wide as strips, the integral along the ray in voxels.
     """
+    _check(volume.shape[:2], (len(geometry.y_mm), len(geometry.x_mm)))
     projections = np.zeros((len(geometry.psi_rad), geometry.samples, volume.shape[2]), np.float32)
     if geometry.z_mm is None:
         _project(np.ascontiguousarray(volume), *_plain(geometry), projections)
     else:
         _project_tilted(np.ascontiguousarray(volume), *_plain(geometry), _first_height(geometry), projections)
     return projections
+
+
+def _check(shape: tuple[int, ...], wanted: tuple[int, int]) -> None:
+    # Kernels check no bounds: an array of another shape would be read past its end.
+    if shape != wanted:
+        raise ValueError(f"array begins with {shape}, the geometry with {wanted}")
 
 
 def _plain(

@@ -150,10 +150,10 @@ def _optimised(
     state = None
     if resume is not None:
         shape = (len(light.geometry.psi_rad), light.geometry.samples, job.grid.shape[0])
-        state = State(*read_state(resume, shape, goal.inside.shape))
+        state = State(*read_state(resume, settings.method, shape, goal.inside.shape)[1:])
     best, last = optimise(goal, light, method, passes, state=state, progress=progress, keep_going=keep_going)
     if save_state is not None:
-        write_state(save_state, SavedState(last.passes, last.model, last.projections, last.dose))
+        write_state(save_state, SavedState(settings.method, last.passes, last.model, last.projections, last.dose))
     known = {
         "passes": best.passes,
         "believed": score_dose(best.dose, goal.inside, goal.reach > 0).to_json(),

@@ -156,15 +156,16 @@ def object_space(goal: Goal, light: Light, state: State | None = None, *, step: 
 
     Projections are the model's, ramp-filtered and clipped at 0; then ``model -= step * error``, with the error of
     `Goal`.  Unlike `osmo`, both regions move at once, the dose keeps its scale, and inside it is held from both sides,
-    so that the in-part range closes.  The filtered pair has eigenvalues of at most about 1: steps below 2 converge.
+    so that the in-part range closes.
 
     Parameters
     ----------
     goal, light, state
         As for every method.
     step
-        Relaxation.
+        Relaxation, in units of the inverse of the filtered pair's largest eigenvalue: below 2 it converges.
     """
+    step = step / _largest_eigenvalue_of_filtered_pair(light)
     model, passes = (goal.inside * goal.reach, 0) if state is None else (state.model, state.passes)
     while True:
         projections = np.maximum(filtered_projections(model, light), 0)
@@ -172,6 +173,17 @@ def object_space(goal: Goal, light: Light, state: State | None = None, *, step: 
         passes += 1
         model = model - np.float32(step) * goal.error_of(dose)
         yield State(passes, model, projections, dose)
+
+
+def _largest_eigenvalue_of_filtered_pair(light: Light) -> float:
+    """Return max(1, pi voxels / angles), with the voxels across the circle and the angles of a full turn.
+
+    Filtered projections of few angles overlap too much near the axis; measured in docs/normalisation.md.
+    """
+    geometry = light.geometry
+    angles = len(geometry.psi_rad) * (2 if geometry.from_both_sides else 1)
+    across = geometry.samples * geometry.spacing_mm / geometry.voxel_mm
+    return float(max(1.0, np.pi * across / angles))
 
 
 def gradient(goal: Goal, light: Light, state: State | None = None, *, steps: int = 10) -> Iterator[State]:
