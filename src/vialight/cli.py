@@ -214,7 +214,7 @@ def _stopped_by_interrupt() -> Iterator[Callable[[], bool]]:
 @click.option("--rig", required=True, type=_FILE, help="The printer as it is: TOML, or orth2022-145, orth2022-190.")
 @click.option("--resin", required=True, help="What is in its vial: DUDMA, BPAGDA, or TOML.")
 @click.option("--out", required=True, type=_FOLDER, help="Folder for frames.h5, truth.stl, rig.toml, run.json.")
-@click.option("--turns", type=float, help="Light off after so many. [default: when as much has gelled as was meant]")
+@click.option("--turns", type=float, help="Light off after so many. [default: when as much will gel as was meant]")
 @click.option("--dose", type=float, help="Light off after this dose in the part, mJ/cm^2.")
 @click.option("--voxel", type=float, default=0.1, show_default=True, help="Edge of a voxel of resin, mm.")
 @click.option("--bin", "binning", type=int, default=1, show_default=True, help="Sum N x N of the camera's pixels.")

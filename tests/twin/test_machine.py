@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -58,6 +59,24 @@ def test_a_turn_in_time_brings_the_dose_of_a_turn_of_patterns() -> None:
     found = np.moveaxis(twin.dose_mj_per_cm2, 2, 0)
     assert np.abs(found - expected).mean() < 0.01 * expected.max()
     assert twin.time_s == pytest.approx(TURN_S)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_place_is_lit_whichever_way_the_stage_turns(direction: Literal[1, -1]) -> None:
+    """A beam that follows the place (2, 1) of the object, by hand: seen from the projector it lies at x_c."""
+    grid, place, count = Grid((2, 30, 30), 0.2), (2.0, 1.0), 90
+    theta = np.arange(count) * 2 * np.pi / count
+    psi = theta + np.pi / 2  # the projector's azimuth is -90 degrees
+    x_c = 1.49 * (place[0] * np.cos(psi) - place[1] * np.sin(psi))
+    columns = (np.arange(300) - 149.5) * 0.065
+    images = np.where(np.abs(columns - x_c[:, None]) < 0.3, 200, 0)[:, None, :].repeat(40, axis=1)
+    rig = RIG.model_copy(update={"stage": RIG.stage.model_copy(update={"direction": direction})})
+    twin = Twin(rig, RESIN, grid, QUIET)
+    moments = list(play(twin, patterns_of(images), turns=1.0, dark_turns=0.0, frame_rate_hz=0.25))
+    y, x, _ = np.unravel_index(np.argmax(twin.dose_mj_per_cm2), twin.dose_mj_per_cm2.shape)
+    assert (grid.x_mm[x], grid.y_mm[y]) == pytest.approx(place, abs=0.25)
+    angles = [moment.frame.angle_rad for moment in moments if moment.frame]
+    assert (np.diff(angles) > 0).all()  # the stage counts upwards either way
 
 
 def test_the_state_does_not_depend_on_how_time_is_cut() -> None:

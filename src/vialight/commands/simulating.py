@@ -57,8 +57,8 @@ def simulate_print(
     out
         Folder for ``frames.h5``, ``truth.stl``, ``reference.stl``, ``rig.toml`` and ``run.json``.
     turns, dose_mj_per_cm2
-        When the light goes off: after turns, or a dose in the part; by default when what has gelled is as large as
-        the part.
+        When the light goes off: after turns, or a dose in the part; by default when what will gel, with
+        the dark cure, is as large as the part.
     voxel_mm
         Of the resin.
     settings
@@ -137,7 +137,7 @@ def _record(
     ) as writer:
         for moment in play(
             twin, plan.patterns, turns=turns or LONGEST_TURNS,
-            is_done=lambda now: turns is None and now.gelled_volume_mm3 >= part_mm3,
+            is_done=lambda now: turns is None and now.volume_to_gel_mm3 >= part_mm3,
         ):  # fmt: skip
             ticks += 1
             lit_s = twin.time_s if moment.is_lit else lit_s

@@ -171,8 +171,8 @@ def cure(
     --------
     >>> resin = Chemistry()
     >>> state = fresh(Grid((1, 1, 1), 0.1), resin)
-    >>> for _ in range(400):
-    ...     state = cure(state, np.full((1, 1, 1), 2.4, np.float32), 1.0, resin, 0.08, 0.1)
+    >>> for _ in range(80):
+    ...     state = cure(state, np.full((1, 1, 1), 12.0, np.float32), 5.0, resin, 0.08, 0.1)
     >>> state.conversion.round(2).ravel()  # after 960 mJ/cm^2; the last radicals have still to act
     array([0.11], dtype=float32)
     """

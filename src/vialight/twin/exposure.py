@@ -150,7 +150,7 @@ def dose_of(
     for start in range(0, len(patterns.levels), _PATTERNS_A_BLOCK):
         block = slice(start, start + _PATTERNS_A_BLOCK)
         images = patterns.levels[block]
-        angles = rig.stage.direction * (patterns.angles_rad[block, None] + within)
+        angles = patterns.angles_rad[block, None] + within
         poses = [Pose(float(angle)) for angle in angles.ravel()]
         shown = np.repeat(np.arange(len(images)), angles_a_pattern)
         share = patterns.dose_rate_per_level * patterns.step_rad * turns / angles_a_pattern

@@ -268,6 +268,14 @@ class Twin:
         return float(np.isfinite(self.gel_time_s).sum() * self.grid.voxel_mm**3)
 
     @property
+    def volume_to_gel_mm3(self) -> float:
+        """Volume that will have gelled when the last radicals are trapped, if the light goes off now."""
+        chemistry = self.resin.chemistry
+        reach = np.float32(chemistry.propagation_m3_per_mol_s / chemistry.radical_decay_per_s)
+        coming = 1 - (1 - self.state.conversion) * np.exp(-reach * self.state.radicals)
+        return float((coming >= chemistry.gel_conversion).sum() * self.grid.voxel_mm**3)
+
+    @property
     def _longest_pose_s(self) -> float:
         return float(_LARGEST_TURN_RAD / np.radians(self.rig.stage.speed_deg_s))
 

@@ -84,7 +84,7 @@ def play(
     """Print, and hand over what the camera sees while it happens.
 
     Patterns are chosen as the printer does: when the projector's next image is due, for the angle at which the stage
-    ought to be in the middle of its showing.
+    ought to be in the middle of its showing, counted counter-clockwise seen from above whichever way the stage counts.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def play(
             asked = now
             off_s = now if is_done(twin) else off_s
         if next_image <= now:
-            due = patterns.index_at(speed * (now + 0.5 / projector.frame_rate_hz))
+            due = patterns.index_at(stage.direction * speed * (now + 0.5 / projector.frame_rate_hz))
             twin.show(levels[due] if now < off_s - 1e-9 else None, corner)
             image += 1
         if next_frame <= now:
