@@ -93,8 +93,10 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path: Path, filled: Path, fai
 
 def test_the_interrupt_of_a_real_process_leaves_everything_as_it_was(tmp_path: Path) -> None:
     code = """
-        import sys, time
+        import signal, sys, time
         from vialight.store import staged_folder
+        # What is started in the background inherits that interrupts are ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         with staged_folder(sys.argv[1]) as folder:
             (folder / "surface.stl").write_text("half")
             print("ready", flush=True)
