@@ -6,14 +6,16 @@ so far, keep a state and go on from it later.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from vialight.arrays import Float32Array, FloatArray
+from vialight.arrays import Float32Array
 from vialight.projections.light import Light, collect, dose_of, filtered_projections
+from vialight.radon import ramp_filter
 
 MethodName = Literal["object-space", "osmo", "gradient", "normalised"]
 
@@ -30,7 +32,8 @@ class State:
     passes
         Passes done.
     model
-        (y, x, z) what the method carries on: the target as modified so far; for `gradient`, the projections.
+        What the method carries on: the target as modified so far, (y, x, z); for `object_space` also the one before,
+        (2, y, x, z); for `gradient`, the projections.
     projections
         (psi, s, z) non-negative.
     dose
@@ -133,15 +136,15 @@ def osmo(
     """
     part = goal.inside >= 0.5
     model, passes = (part.astype(np.float32), 0) if state is None else (state.model, state.passes)
+    _, scaled = _scaled_dose(model, light)
     while True:
-        _, scaled = _scaled_dose(model, light)
         model = model + np.where(part, np.maximum(high - scaled, 0), 0).astype(np.float32)
         _, scaled = _scaled_dose(model, light)
         model = model - np.where(part, 0, np.maximum(scaled - low, 0)).astype(np.float32) * goal.reach
-        projections, dose = _scaled_dose(model, light)
+        projections, scaled = _scaled_dose(model, light)
         passes += 1
         # In units where the part's threshold is 1.
-        yield State(passes, model, projections / np.float32(high), dose / np.float32(high))
+        yield State(passes, model, projections / np.float32(high), scaled / np.float32(high))
 
 
 def _scaled_dose(model: Float32Array, light: Light) -> tuple[Float32Array, Float32Array]:
@@ -151,46 +154,63 @@ def _scaled_dose(model: Float32Array, light: Light) -> tuple[Float32Array, Float
     return np.asarray(projections / peak, np.float32), np.asarray(dose / peak, np.float32)
 
 
-def object_space(goal: Goal, light: Light, state: State | None = None, *, step: float = 1.2) -> Iterator[State]:
-    """Landweber steps in object space: the model moves by how much the dose is off.
+def object_space(goal: Goal, light: Light, state: State | None = None, *, step: float = 0.9) -> Iterator[State]:
+    """Accelerated Landweber steps in object space: the model moves by how much the dose is off, and keeps some speed.
 
     Projections are the model's, ramp-filtered and clipped at 0; then ``model -= step * error``, with the error of
     `Goal`.  Unlike `osmo`, both regions move at once, the dose keeps its scale, and inside it is held from both sides,
-    so that the in-part range closes.
+    so that the in-part range closes.  Each step starts from the model pushed on by (k - 1) / (k + 2) of its last move
+    (Nesterov 1983): half as many passes come as far.
+
+    The filtered pair's largest eigenvalue was found to be 1.27 (64 voxels across) to 1.43 (128), for waves at the rim;
+    such steps converge below 4/3 of its inverse.  Absorption raises it, by the mean of ``cosh(mu t)`` at the rim, and
+    the step is divided by that.  Where light is blurred, so is the error, as the transpose of the light would have it:
+    without, the model runs away.
 
     Parameters
     ----------
     goal, light, state
-        As for every method.
+        As for every method; its model is two volumes, the latest and the one before.
     step
-        Relaxation, in units of the inverse of the filtered pair's largest eigenvalue: below 2 it converges.
+        Relaxation.
     """
-    step = step / _largest_eigenvalue_of_filtered_pair(light)
-    model, passes = (goal.inside * goal.reach, 0) if state is None else (state.model, state.passes)
+    start = goal.inside * goal.reach
+    models, passes = (np.stack([start, start]), 0) if state is None else (state.model, state.passes)
+    step = step / _gain_at_rim(light)
     while True:
-        projections = np.maximum(filtered_projections(model, light), 0)
+        latest, before = models
+        pushed = latest + np.float32(max(passes - 1, 0) / (passes + 2)) * (latest - before)
+        projections = np.maximum(filtered_projections(pushed, light), 0)
         dose = dose_of(projections, light)
         passes += 1
-        model = model - np.float32(step) * goal.error_of(dose)
-        yield State(passes, model, projections, dose)
+        models = np.stack([pushed - np.float32(step) * _blurred(goal.error_of(dose), light), latest])
+        yield State(passes, models, projections, dose)
 
 
-def _largest_eigenvalue_of_filtered_pair(light: Light) -> float:
-    """Return max(1, pi voxels / angles), with the voxels across the circle and the angles of a full turn.
+def _gain_at_rim(light: Light) -> float:
+    """Return how much more light than on the axis the rim gets, from all sides together: the mean of cosh(mu t)."""
+    radius_mm = -light.geometry.first_s_mm
+    return float(np.i0(light.geometry.absorption_per_mm * radius_mm))
 
-    Filtered projections of few angles overlap too much near the axis; measured in docs/normalisation.md.
-    """
-    geometry = light.geometry
-    angles = len(geometry.psi_rad) * (2 if geometry.from_both_sides else 1)
-    across = geometry.samples * geometry.spacing_mm / geometry.voxel_mm
-    return float(max(1.0, np.pi * across / angles))
+
+def _blurred(volume: Float32Array, light: Light) -> Float32Array:
+    """Blur a volume as its projections and its dose would be."""
+    sigma_mm = math.hypot(light.projector_blur_mm, light.diffusion_mm)
+    if sigma_mm == 0:
+        return volume
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(volume, sigma_mm / light.geometry.voxel_mm, mode="constant"), np.float32)
 
 
 def gradient(goal: Goal, light: Light, state: State | None = None, *, steps: int = 10) -> Iterator[State]:
-    """Quasi-Newton descent (L-BFGS-B, Byrd et al. 1995) on the squared threshold losses of `Goal`.
+    """Quasi-Newton descent (L-BFGS) on the squared threshold losses of `Goal`, projected on what light can be.
 
     The losses are convex in the projections, which are bounded below by 0: it converges on every target to the best
-    that these losses allow.  It starts from clipped filtered projections.
+    that these losses allow.  It starts from clipped filtered projections.  Each step is the two-loop recursion
+    (Nocedal 1980) among the rays that are not held at 0 (Bertsekas 1982), halved until the loss falls.  The ramp filter
+    stands in for the inverse Hessian to begin with, which it nearly is.  Nothing but sums over arrays is needed, where
+    L-BFGS-B (Byrd et al. 1995) spends most of its time on its generalised Cauchy point.
 
     Parameters
     ----------
@@ -199,24 +219,68 @@ def gradient(goal: Goal, light: Light, state: State | None = None, *, steps: int
     steps
         Quasi-Newton steps in a pass; the memory of curvature begins anew with each pass.
     """
-    from scipy.optimize import Bounds, minimize
-
     if state is None:
         now, passes = np.maximum(filtered_projections(goal.inside * goal.reach, light), 0), 0
+        dose = dose_of(now, light)
     else:
-        now, passes = state.projections, state.passes
-    shape = now.shape
-
-    def cost(values: FloatArray) -> tuple[float, FloatArray]:
-        off = goal.error_of(dose_of(values.reshape(shape).astype(np.float32), light))
-        slope = collect(2 * off, light)
-        return float(np.square(off, dtype=np.float64).sum()), slope.ravel().astype(np.float64)
-
+        now, passes, dose = state.projections, state.passes, state.dose
+    spacing_mm = light.geometry.spacing_mm
+    # Such that a first step is as long as one of `object_space`.
+    scale = np.float32(light.geometry.voxel_mm**2 / (4 * spacing_mm * light.step_rad))
+    ramp = ramp_filter("ram-lak", light.geometry.samples, spacing_mm) * scale
     while True:
-        found = minimize(
-            cost, now.ravel().astype(np.float64), jac=True, method="L-BFGS-B", bounds=Bounds(lb=0),
-            options={"maxiter": steps, "maxcor": 8, "ftol": 0, "gtol": 0},
-        )  # fmt: skip
-        now = found.x.reshape(shape).astype(np.float32)
+        moves: list[tuple[Float32Array, Float32Array]] = []
+        for _ in range(steps):
+            slope = collect(2 * goal.error_of(dose), light)
+            if moves:
+                moves[-1] = (moves[-1][0], slope - moves[-1][1])
+                moves = [pair for pair in moves if _inner(*pair) > 0][-_MEMORY:]
+            free = (now > 0) | (slope < 0)
+            found = _lower(goal, light, now, dose, _quasi_newton(slope * free, moves, ramp) * free, slope)
+            if found is None:
+                break
+            moves.append((found[0] - now, slope))
+            now, dose = found
         passes += 1
-        yield State(passes, now, now, dose_of(now, light))
+        yield State(passes, now, now, dose)
+
+
+_MEMORY = 8
+_HALVINGS = 20
+_LEAST_FALL = 1e-4
+"""Pairs of moves remembered, step lengths tried, and what share of the fall that the slope promises is enough."""
+
+
+def _quasi_newton(
+    slope: Float32Array, moves: list[tuple[Float32Array, Float32Array]], ramp: Float32Array
+) -> Float32Array:
+    """Return minus the inverse Hessian, as the ramp and past moves and changes of slope tell it, times the slope."""
+    direction = -slope
+    shares = []
+    for move, change in reversed(moves):
+        shares.append(_inner(move, direction) / _inner(move, change))
+        direction = direction - np.float32(shares[-1]) * change
+    direction = np.asarray(np.matmul(ramp, direction), np.float32)
+    if moves:
+        direction *= np.float32(_inner(*moves[-1]) / _inner(moves[-1][1], np.matmul(ramp, moves[-1][1])))
+    for (move, change), share in zip(moves, reversed(shares), strict=True):
+        direction = direction + np.float32(share - _inner(change, direction) / _inner(move, change)) * move
+    return direction
+
+
+def _lower(
+    goal: Goal, light: Light, now: Float32Array, dose: Float32Array, direction: Float32Array, slope: Float32Array
+) -> tuple[Float32Array, Float32Array] | None:
+    """Return projections along a direction, clipped at 0, whose loss is enough lower, with their dose."""
+    cost, length = goal.cost_of(dose), np.float32(1)
+    for _ in range(_HALVINGS):
+        there = np.maximum(now + length * direction, 0)
+        dose_there = dose_of(there, light)
+        if goal.cost_of(dose_there) < cost + _LEAST_FALL * _inner(slope, there - now):
+            return there, dose_there
+        length *= np.float32(0.5)
+    return None
+
+
+def _inner(first: Float32Array, second: Float32Array) -> float:
+    return float(np.einsum("asz,asz->", first, second, dtype=np.float64))
