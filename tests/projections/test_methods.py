@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from projections.parts import small_goal
+from vialight.arrays import Grid
 from vialight.errors import InputError
 from vialight.mesh import Mesh, load_mesh
 from vialight.projections import Goal, Light, MethodName, State, dose_of, light_for, method_named, optimise
@@ -188,3 +189,16 @@ def test_object_space_gets_better_with_every_pass() -> None:
     goal, light, _ = small_goal()
     costs = [goal.cost_of(state.dose) for state in run("object-space", goal, light, 12)]
     assert all(after < before for before, after in pairwise(costs))
+
+
+@pytest.mark.parametrize("angles", [60, 120])
+def test_object_space_converges_though_angles_are_few(angles: int) -> None:
+    """Near the axis the projections of few angles overlap, and steps that are not damped for it run away."""
+    grid = Grid((2, 100, 100), 0.13)
+    inside = np.hypot(grid.x_mm - 1, grid.y_mm[:, None]) < 4.5
+    inside &= np.hypot(grid.x_mm - 2, grid.y_mm[:, None] - 0.5) > 1.2
+    light = light_for(grid, angles)
+    goal = Goal(np.repeat(inside[:, :, None], 2, axis=2).astype(np.float32), light.reach)
+    costs = [goal.cost_of(state.dose) for state in run("object-space", goal, light, 24)]
+    assert min(costs) > 0.9 * costs[-1]
+    assert costs[-1] < 0.05 * costs[0]

@@ -163,8 +163,8 @@ def object_space(goal: Goal, light: Light, state: State | None = None, *, step: 
     (Nesterov 1983): half as many passes come as far.
 
     The filtered pair's largest eigenvalue was found to be 1.27 (64 voxels across) to 1.43 (128), for waves at the rim;
-    such steps converge below 4/3 of its inverse.  Absorption raises it, by the mean of ``cosh(mu t)`` at the rim, and
-    the step is divided by that.  Where light is blurred, so is the error, as the transpose of the light would have it:
+    such steps converge below 4/3 of its inverse.  Absorption raises it, and so do few angles: the step is divided by
+    `_gain`.  Where light is blurred, so is the error, as the transpose of the light would have it:
     without, the model runs away.
 
     Parameters
@@ -176,7 +176,7 @@ def object_space(goal: Goal, light: Light, state: State | None = None, *, step: 
     """
     start = goal.inside * goal.reach
     models, passes = (np.stack([start, start]), 0) if state is None else (state.model, state.passes)
-    step = step / _gain_at_rim(light)
+    step = step / _gain(light)
     while True:
         latest, before = models
         pushed = latest + np.float32(max(passes - 1, 0) / (passes + 2)) * (latest - before)
@@ -187,10 +187,17 @@ def object_space(goal: Goal, light: Light, state: State | None = None, *, step: 
         yield State(passes, models, projections, dose)
 
 
-def _gain_at_rim(light: Light) -> float:
-    """Return how much more light than on the axis the rim gets, from all sides together: the mean of cosh(mu t)."""
-    radius_mm = -light.geometry.first_s_mm
-    return float(np.i0(light.geometry.absorption_per_mm * radius_mm))
+def _gain(light: Light) -> float:
+    """Return by what the filtered pair's largest eigenvalue is raised.
+
+    At the rim absorption raises it by the mean of ``cosh(mu t)``; near the axis, where projections overlap, few angles
+    raise it by pi times the voxels across over the angles of a full turn (measured in docs/normalisation.md).
+    """
+    geometry = light.geometry
+    radius_mm = -geometry.first_s_mm
+    angles = len(geometry.psi_rad) * (2 if geometry.from_both_sides else 1)
+    few_angles = np.pi * geometry.samples * geometry.spacing_mm / geometry.voxel_mm / angles
+    return float(max(np.i0(geometry.absorption_per_mm * radius_mm), few_angles))
 
 
 def _blurred(volume: Float32Array, light: Light) -> Float32Array:
