@@ -26,6 +26,8 @@ Float32Array = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+TURN_RAD = 2 * np.pi
+
 FAST_MATH = {"reassoc", "contract", "nsz", "arcp"}
 """What kernels may do to arithmetic: sums in any order, but NaN and infinity keep their meaning."""
 

@@ -11,7 +11,8 @@ import numpy as np
 from vialight.arrays import FloatArray, Volume
 from vialight.mesh import Mesh
 from vialight.pipeline import Scan
-from vialight.sinogram import bin_frames, resample, rows_seen, vial_edge_columns
+from vialight.sinogram import bin_frames, resample, rows_seen
+from vialight.viewing import vial_edge_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

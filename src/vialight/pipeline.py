@@ -18,14 +18,13 @@ from vialight.radon import FilterName
 from vialight.sinogram import (
     attenuation,
     bin_frames,
-    heights_seen,
     parallel_beam,
-    ray_tilt,
     resample,
     rows_seen,
     select_turn,
 )
 from vialight.store import FrameFile
+from vialight.viewing import heights_seen, ray_tilt
 from vialight.volume import DEFAULT_FILTER, reconstruct_slices, reconstruct_tilted
 
 Progress = Callable[[int, int], None]

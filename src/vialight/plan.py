@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import FloatArray, Grid
+from vialight.arrays import TURN_RAD, FloatArray, Grid
 from vialight.config import Rig
 from vialight.mesh import Mesh
 
@@ -46,7 +46,7 @@ class Patterns:
     @property
     def step_rad(self) -> float:
         """Angle between neighbouring patterns."""
-        return 2 * np.pi / len(self.angles_rad)
+        return TURN_RAD / len(self.angles_rad)
 
     def index_at(self, angle_rad: float) -> int:
         """Return the pattern that is due at a stage angle, of any turn.

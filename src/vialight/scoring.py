@@ -17,11 +17,8 @@ from numpy.typing import NDArray
 from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, Grid, centred
 from vialight.config import Rig
 from vialight.plan import Patterns
-from vialight.refraction import camera_to_virtual, virtual_to_camera
 from vialight.strips import StripGeometry, backproject_strips
-from vialight.viewing import pixel_rays, ray_tilt
-
-TURN_RAD = 2 * np.pi
+from vialight.viewing import pixel_rays, pixels_of, ray_tilt
 
 SUBVOXELS = 3
 """Along x and along y, and stage angles for each pattern."""
@@ -66,6 +63,7 @@ def dose_of_patterns(
     # One slice more than light climbs: it tells what a slice spans of the image.
     largest_climb = 0.0 if tilt is None or not climbing else float(tilt.max()) * radius * np.abs(grid.z_mm).max()
     margin = int(np.ceil(largest_climb / grid.voxel_mm)) + 1
+    per_level = _dose_rate_per_level(patterns, rig)
     for start in range(0, grid.shape[0], _SLICES_A_BLOCK):
         stop = min(start + _SLICES_A_BLOCK, grid.shape[0])
         z_mm = grid.z_mm[0] + np.arange(start - margin, stop + margin, dtype=np.float64) * grid.voxel_mm
@@ -73,56 +71,37 @@ def dose_of_patterns(
             psi, float(s_mm[0]), spacing, len(s_mm), fine.x_mm, fine.y_mm, rig.resin.absorption_per_mm or 0.0, tilt,
             z_mm if climbing and tilt is not None else None,
         )  # fmt: skip
-        lit = backproject_strips(light_of_patterns(patterns, rig, psi, s_mm, z_mm), geometry)
+        lit = backproject_strips(_light_of_patterns(patterns, rig, per_level, psi, s_mm, z_mm), geometry)
         lit = lit[:, :, margin : lit.shape[2] - margin]
         mean = lit.reshape(grid.shape[1], subvoxels, grid.shape[2], subvoxels, stop - start).mean(axis=(1, 3))
         dose[start:stop] = mean.transpose(2, 0, 1) * np.float32(held)
     return dose
 
 
-def light_of_patterns(
-    patterns: Patterns, rig: Rig, psi_rad: FloatArray, s_mm: FloatArray, z_mm: FloatArray
-) -> Float32Array:
-    """Return the light of patterns as parallel rays in the resin, where they pass closest to the axis.
-
-    Parameters
-    ----------
-    patterns, rig
-        As for `dose_of_patterns`.
-    psi_rad, s_mm, z_mm
-        Angles, positions and mid-heights wanted; positions and heights two or more, evenly spaced: each ray stands for
-        what lies half way to the next.
-
-    Returns
-    -------
-    numpy.ndarray
-        (psi, s, z) float32, dose per radian.
-    """
-    projector, optics = rig.need_projector(), rig.writing_optics()
-    camera = projector.as_camera()
+def _dose_rate_per_level(patterns: Patterns, rig: Rig) -> Float32Array:
+    """Return, for every pixel of the projector, the dose rate that one level of it brings into the resin."""
+    projector = rig.need_projector()
     absorption = rig.resin.absorption_per_mm or 0.0
-    rays = pixel_rays(projector.columns, projector.rows, camera, optics, absorption)
-    column, row, direction = _pixels_of(s_mm, z_mm, rig)
+    rays = pixel_rays(projector.columns, projector.rows, projector.as_camera(), rig.writing_optics(), absorption)
+    return (rays.delivery * patterns.dose_rate_per_level).astype(np.float32)
+
+
+def _light_of_patterns(
+    patterns: Patterns, rig: Rig, per_level: Float32Array, psi_rad: FloatArray, s_mm: FloatArray, z_mm: FloatArray
+) -> Float32Array:
+    """Return the light of patterns as parallel rays in the resin, (psi, s, z), where they pass closest to the axis.
+
+    Positions and heights are two or more, evenly spaced: each ray stands for what lies half way to the next.
+    """
+    projector = rig.need_projector()
+    column, row, direction = pixels_of(s_mm[:, None], z_mm, projector.as_camera(), rig.writing_optics())
     out = np.zeros((len(psi_rad), len(s_mm), len(z_mm)), np.float32)
     step, turned = patterns.step_rad, psi_rad + np.radians(projector.azimuth_deg)
     _look_up(
         patterns.levels, patterns.first_row, patterns.first_column, row, _widths(row, 1), column, _widths(column, 0),
-        direction / step, (turned - patterns.angles_rad[0]) / step,
-        (rays.delivery * patterns.dose_rate_per_level).astype(np.float32), out,
+        direction / step, (turned - patterns.angles_rad[0]) / step, per_level, out,
     )  # fmt: skip
     return out
-
-
-def _pixels_of(s_mm: FloatArray, z_mm: FloatArray, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return, as (s, z), the fractional column and row that light a ray, and its direction; NaN where none does."""
-    camera, optics = rig.need_projector().as_camera(), rig.writing_optics()
-    if optics is None:
-        x_c, z_c = np.broadcast_arrays(s_mm[:, None], z_mm)
-        direction = np.zeros(x_c.shape)
-    else:
-        x_c, z_c = virtual_to_camera(s_mm[:, None], z_mm, optics)
-        direction = camera_to_virtual(x_c, z_c, optics).direction_rad
-    return x_c / camera.pixel_mm + camera.axis_column, camera.optical_row - z_c / camera.pixel_mm, direction
 
 
 def _widths(position: FloatArray, axis: int) -> FloatArray:

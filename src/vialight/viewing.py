@@ -51,16 +51,35 @@ def ray_tilt(virtual_x_mm: FloatArray, optics: Optics) -> FloatArray:
     return camera_to_virtual(*virtual_to_camera(inside, height, optics), optics).slope / height
 
 
+def pixels_of(
+    virtual_x_mm: FloatArray, mid_height_mm: FloatArray, camera: Camera, optics: Optics | None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the fractional column and row in which rays are seen, and their direction gamma; NaN where none is.
+
+    Parameters
+    ----------
+    virtual_x_mm, mid_height_mm
+        Of the rays; any shapes that broadcast.
+    camera, optics
+        As the rig has them; no optics for rays without a vial.
+    """
+    if optics is None:
+        x_c, z_c = np.broadcast_arrays(virtual_x_mm, mid_height_mm)
+        direction = np.zeros(x_c.shape)
+    else:
+        x_c, z_c = virtual_to_camera(virtual_x_mm, mid_height_mm, optics)
+        direction = camera_to_virtual(x_c, z_c, optics).direction_rad
+    return x_c / camera.pixel_mm + camera.axis_column, camera.optical_row - z_c / camera.pixel_mm, direction
+
+
 def columns_and_directions(
     virtual_x: FloatArray, z_mid: float, camera: Camera, optics: Optics | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractional column and gamma of each ray; NaN outside the field."""
-    if optics is None:
-        return virtual_x / camera.pixel_mm + camera.axis_column, np.zeros_like(virtual_x)
-    seen = np.where(np.abs(virtual_x) <= EDGE_MARGIN * optics.field_radius_mm, virtual_x, np.nan)
-    x_c, z_c = virtual_to_camera(seen, z_mid, optics)
-    direction = camera_to_virtual(x_c, z_c, optics).direction_rad
-    return x_c / camera.pixel_mm + camera.axis_column, direction
+    """Return the fractional column and gamma of each ray at one mid-height; NaN outside the field."""
+    if optics is not None:
+        virtual_x = np.where(np.abs(virtual_x) <= EDGE_MARGIN * optics.field_radius_mm, virtual_x, np.nan)
+    column, _, direction = pixels_of(virtual_x, np.asarray(z_mid), camera, optics)
+    return column, direction
 
 
 def rows_of(x_c: FloatArray, z_mm: FloatArray, camera: Camera, optics: Optics | None) -> FloatArray:
@@ -76,13 +95,12 @@ def rows_and_plan_share(
 ) -> tuple[FloatArray, FloatArray]:
     """Return, as (column, z), the fractional row that sees a height and the cosine of its ray's climb in the resin."""
     x_c: FloatArray = (np.arange(columns, dtype=np.float64) - camera.axis_column) * camera.pixel_mm
-    if optics is not None:
-        # Columns beside the vial only lend a neighbour to the cubic of the last one that sees it.
-        edge, _ = virtual_to_camera(EDGE_MARGIN * optics.field_radius_mm, 0.0, optics)
-        x_c = np.clip(x_c, -edge, edge)
     if optics is None:
         row = rows_of(x_c, z_mm, camera, None)
         return row, np.ones_like(row)
+    # Columns beside the vial only lend a neighbour to the cubic of the last one that sees it.
+    edge, _ = virtual_to_camera(EDGE_MARGIN * optics.field_radius_mm, 0.0, optics)
+    x_c = np.clip(x_c, -edge, edge)
     # Both are smooth in z: through three heights of a thin stack, parabolas are exact to 1e-5 rows.
     knots = np.array([z_mm[0], (z_mm[0] + z_mm[-1]) / 2, z_mm[-1]])
     row_at = rows_of(x_c, knots, camera, optics)

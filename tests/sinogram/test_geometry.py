@@ -11,7 +11,8 @@ from vialight.arrays import FloatArray
 from vialight.config import Camera, Optics
 from vialight.errors import InputError
 from vialight.refraction import camera_to_virtual
-from vialight.sinogram import heights_seen, parallel_beam, ray_tilt, rows_seen
+from vialight.sinogram import parallel_beam, rows_seen
+from vialight.viewing import heights_seen, ray_tilt
 
 OPTICS = Optics(12.4, 11.3, 1.472, 1.48, 190.0)
 TURN = np.radians(np.arange(0.0, 360.0, 2.0))

@@ -12,7 +12,8 @@ from vialight.arrays import Float32Array, FloatArray, ParallelBeam
 from vialight.config import Camera, Optics
 from vialight.errors import InputError
 from vialight.refraction import camera_to_virtual
-from vialight.sinogram import parallel_beam, ray_tilt, resample
+from vialight.sinogram import parallel_beam, resample
+from vialight.viewing import ray_tilt
 
 OPTICS = Optics(12.4, 11.3, 1.6, 1.48, 190.0)
 SIGMA = 0.7

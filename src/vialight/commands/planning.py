@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import Float32Array, Grid, centred
+from vialight.arrays import Float32Array, Grid
 from vialight.commands.plan_settings import GivenProjections, PlanSettings
 from vialight.commands.provenance import inputs_json, versions
 from vialight.config import Rig, load_rig
@@ -27,6 +27,7 @@ from vialight.projections import (
     make_patterns,
     method_named,
     optimise,
+    strip_positions,
 )
 from vialight.scoring import Score, dose_of_patterns, judged_voxels, score_dose
 from vialight.store import (
@@ -206,11 +207,9 @@ def exposure_json(score: Score, patterns: Patterns, rig: Rig) -> dict[str, float
 def _light(grid: Grid, rig: Rig, room: Room, settings: PlanSettings) -> Light:
     optics = rig.writing_optics()
     radius = min(max(grid.shape[1:]) / 2 * grid.voxel_mm, room.radius_mm)
-    plain = light_for(grid, settings.angles, radius_mm=radius)
-    positions = centred(plain.geometry.samples, plain.geometry.spacing_mm)
     return light_for(
         grid, settings.angles, radius_mm=radius, absorption_per_mm=rig.resin.absorption_per_mm or 0.0,
-        tilt_at=None if optics is None else ray_tilt(positions, optics),
+        tilt_at=None if optics is None else ray_tilt(strip_positions(radius, grid.voxel_mm), optics),
         climbing=settings.climbing and optics is not None,
         projector_blur_mm=settings.projector_blur_mm, diffusion_mm=settings.diffusion_mm,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from typing import get_args
 
 from vialight.errors import InputError
 from vialight.projections.given import lay_in_vial
-from vialight.projections.light import Light, dose_of, light_for
+from vialight.projections.light import Light, dose_of, light_for, strip_positions
 from vialight.projections.methods import (
     VOID_LIMIT,
     Goal,
@@ -40,6 +40,7 @@ __all__ = [
     "make_patterns",
     "method_named",
     "optimise",
+    "strip_positions",
 ]
 
 DEFAULT_PASSES: dict[MethodName, int] = {"object-space": 20, "osmo": 20, "gradient": 4, "normalised": 2}

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vialight.arrays import Float32Array, FloatArray, Grid, centred
+from vialight.arrays import TURN_RAD, Float32Array, FloatArray, Grid, centred
 from vialight.radon import FilterName, ramp_filter
 from vialight.strips import StripGeometry, backproject_strips, project_strips
 
@@ -37,7 +37,7 @@ class Light:
     @property
     def step_rad(self) -> float:
         """Turn that one projection stands for: with `from_both_sides`, both of its ways together."""
-        return 2 * np.pi / len(self.geometry.psi_rad)
+        return TURN_RAD / len(self.geometry.psi_rad)
 
     @property
     def reach(self) -> Float32Array:
@@ -84,7 +84,7 @@ def light_for(
     # Opposite projections are alike: only half of them are computed.
     count = angles // 2
     geometry = StripGeometry(
-        psi_rad=np.arange(count, dtype=np.float64) * (2 * np.pi / angles),
+        psi_rad=np.arange(count, dtype=np.float64) * (TURN_RAD / angles),
         first_s_mm=float(positions[0]),
         spacing_mm=grid.voxel_mm,
         samples=len(positions),

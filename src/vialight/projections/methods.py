@@ -197,7 +197,7 @@ def _gain(light: Light) -> float:
     radius_mm = -geometry.first_s_mm
     angles = len(geometry.psi_rad) * (2 if geometry.from_both_sides else 1)
     few_angles = np.pi * geometry.samples * geometry.spacing_mm / geometry.voxel_mm / angles
-    return float(max(np.i0(geometry.absorption_per_mm * radius_mm), few_angles))
+    return max(float(np.i0(geometry.absorption_per_mm * radius_mm)), few_angles)
 
 
 def _blurred(volume: Float32Array, light: Light) -> Float32Array:

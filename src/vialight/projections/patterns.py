@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray, Grid
+from vialight.arrays import FAST_MATH, TURN_RAD, Float32Array, FloatArray, Grid
 from vialight.config import Rig
 from vialight.errors import InputError
 from vialight.plan import Patterns
 from vialight.projections.light import Light
 from vialight.viewing import PixelRays, pixel_rays
 
-TURN_RAD = 2 * np.pi
 LEVELS = 255
 
 

@@ -12,16 +12,12 @@ from vialight.sinogram.background import attenuation, bin_frames
 from vialight.sinogram.geometry import parallel_beam, rows_seen
 from vialight.sinogram.resampling import resample
 from vialight.sinogram.turns import select_turn
-from vialight.viewing import heights_seen, ray_tilt, vial_edge_columns
 
 __all__ = [
     "attenuation",
     "bin_frames",
-    "heights_seen",
     "parallel_beam",
-    "ray_tilt",
     "resample",
     "rows_seen",
     "select_turn",
-    "vial_edge_columns",
 ]

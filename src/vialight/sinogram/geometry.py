@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from vialight.arrays import FloatArray, ParallelBeam, centred
+from vialight.arrays import TURN_RAD, FloatArray, ParallelBeam, centred
 from vialight.config import Camera, Optics
 from vialight.errors import InputError
-from vialight.sinogram.turns import TURN_RAD, nominal_step, sorted_turn
+from vialight.sinogram.turns import nominal_step, sorted_turn
 from vialight.viewing import EDGE_MARGIN, rows_of, vial_edge_columns
 
 ROW_MARGIN = 10

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from vialight.arrays import FloatArray, IntArray
+from vialight.arrays import TURN_RAD, FloatArray, IntArray
 from vialight.errors import InputError
-
-TURN_RAD = 2 * np.pi
 
 WIDEST_GAP_RAD = np.radians(30.0)
 """Across more than this the opposite views, which tilt the other way, would stand alone for too much of the volume."""
