@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import signal
-import sys
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from vialight.errors import InputError, VialightError, VialightWarning
+from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
+from vialight.cli.tables import measurement_lines, plan_lines, reconstruction_lines, simulation_lines
 
 if TYPE_CHECKING:
-    from types import FrameType
-
     from vialight.commands import GivenProjections, PlanSettings
-
-BAD_INPUT = 2
-FAILED = 1
 
 # Heavy modules are imported inside the commands, so that --help answers at once.
 
@@ -69,14 +59,14 @@ def reconstruct(
     Example:
       vialight reconstruct frames.h5 --rig rig.toml --threshold 100 --out print
     """
-    with _faults_told():
+    with faults_told():
         from vialight.commands import reconstruct_recording
         from vialight.pipeline import Settings
 
         settings = Settings(voxel, binning, turn, accurate, filter_name)
-        with _progress("slices") as progress:
-            result = reconstruct_recording(frames, rig, out, settings=settings, threshold=threshold, progress=progress)
-        _show(result, as_json, lambda: _reconstruction_lines(result, out))
+        with progress("slices") as advance:
+            result = reconstruct_recording(frames, rig, out, settings=settings, threshold=threshold, progress=advance)
+        show(result, as_json, lambda: reconstruction_lines(result, out))
 
 
 @main.command()
@@ -98,11 +88,11 @@ def measure(
     Example:
       vialight measure print --reference part.stl --tolerance 0.1 --out print
     """
-    with _faults_told():
+    with faults_told():
         from vialight.commands import measure_surface
 
         result = measure_surface(surface, reference, out, align=align, tolerance_mm=tolerance)
-        _show(result, as_json, lambda: _measurement_lines(result, out))
+        show(result, as_json, lambda: measurement_lines(result, out))
 
 
 @main.command()
@@ -149,21 +139,21 @@ def plan(part: Path | None, rig: Path, out: Path | None, score: Path | None, as_
       vialight plan part.stl --rig printer.toml --out plan.h5
       vialight plan --score plan.h5 --rig other.toml
     """
-    with _faults_told():
+    with faults_told():
         from vialight.commands import plan_part, score_plan
 
         if score is not None:
             result = score_plan(score, rig)
-            _show(result, as_json, lambda: _plan_lines(result, None))
+            show(result, as_json, lambda: plan_lines(result, None))
             return
         if part is None or out is None:
             raise click.UsageError("give a PART and --out, or --score PLAN.h5")
-        with _progress("passes") as progress, _stopped_by_interrupt() as keep_going:
+        with progress("passes") as advance, stopped_by_interrupt() as keep_going:
             result = plan_part(
                 part, rig, out, settings=_plan_settings(options), given=_given_projections(options),
-                resume=options["resume"], save_state=options["save_state"], progress=progress, keep_going=keep_going,
+                resume=options["resume"], save_state=options["save_state"], progress=advance, keep_going=keep_going,
             )  # fmt: skip
-        _show(result, as_json, lambda: _plan_lines(result, out))
+        show(result, as_json, lambda: plan_lines(result, out))
 
 
 def _plan_settings(options: dict[str, Any]) -> PlanSettings:
@@ -191,24 +181,6 @@ def _given_projections(options: dict[str, Any]) -> GivenProjections | None:
     )  # fmt: skip
 
 
-@contextmanager
-def _stopped_by_interrupt() -> Iterator[Callable[[], bool]]:
-    """Yield a question that the first Ctrl-C answers with no; the second one interrupts as ever."""
-    asked_to_stop = False
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal asked_to_stop
-        asked_to_stop = True
-        click.echo("stopping after this pass with the best so far", err=True)
-        signal.signal(signal.SIGINT, before)
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield lambda: not asked_to_stop
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 @main.command()
 @click.argument("plan", type=_FILE)
 @click.option("--rig", required=True, type=_FILE, help="The printer as it is: TOML, or orth2022-145, orth2022-190.")
@@ -230,17 +202,17 @@ def simulate(
     Example:
       vialight simulate plan.h5 --rig orth2022-190 --resin DUDMA --out run
     """
-    with _faults_told():
+    with faults_told():
         from vialight.commands.simulating import simulate_print
         from vialight.twin import TwinSettings
 
         settings = TwinSettings(binning=binning, seed=seed)
-        with _progress("s") as progress:
+        with progress("s") as advance:
             result = simulate_print(
                 plan, rig, resin, out, turns=turns, dose_mj_per_cm2=dose, voxel_mm=voxel, settings=settings,
-                progress=progress,
+                progress=advance,
             )  # fmt: skip
-        _show(result, as_json, lambda: _simulation_lines(result, out))
+        show(result, as_json, lambda: simulation_lines(result, out))
 
 
 @main.command()
@@ -258,11 +230,11 @@ def export(plan: Path, out: Path, turns: float, as_json: bool) -> None:
       vialight export plan.h5 --out patterns
       vialight export plan.h5 --out patterns.mp4 --turns 20
     """
-    with _faults_told():
+    with faults_told():
         from vialight.commands import export_plan
 
         result = export_plan(plan, out, turns=turns)
-        _show(result, as_json, lambda: [f"{result['images']} images: {out}"])
+        show(result, as_json, lambda: [f"{result['images']} images: {out}"])
 
 
 @main.command()
@@ -277,123 +249,13 @@ def demo(out: Path, as_json: bool) -> None:
     Example:
       vialight demo --out demo
     """
-    with _faults_told():
+    with faults_told():
         from importlib.resources import as_file, files
 
         from vialight.commands import measure_surface, reconstruct_recording
 
-        with as_file(files("vialight") / "sample") as sample, _progress("slices") as progress:
-            first = reconstruct_recording(sample / "frames.h5", sample / "rig.toml", out, progress=progress)
+        with as_file(files("vialight") / "sample") as sample, progress("slices") as advance:
+            first = reconstruct_recording(sample / "frames.h5", sample / "rig.toml", out, progress=advance)
             second = measure_surface(out, sample / "part.stl", out, tolerance_mm=0.1)
-        lines = [*_reconstruction_lines(first, out), "", *_measurement_lines(second, out)]
-        _show({"reconstruction": first, "measurement": second}, as_json, lambda: lines)
-
-
-@contextmanager
-def _faults_told() -> Iterator[None]:
-    """Tell errors and warnings in a line each, and end with the exit code that belongs to them."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        sys.exit(128 + number)
-
-    # An exception, so that what is half-written is cleared away.
-    signal.signal(signal.SIGTERM, stop)
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", VialightWarning)
-            yield
-    except VialightError as error:
-        click.echo(f"vialight: {error}", err=True)
-        sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)
-    except MemoryError:
-        click.echo("vialight: not enough memory; choose a larger --voxel or --bin", err=True)
-        sys.exit(FAILED)
-    finally:
-        for warning in caught:
-            if issubclass(warning.category, VialightWarning):
-                click.echo(f"vialight: warning: {warning.message}", err=True)
-
-
-@contextmanager
-def _progress(unit: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a progress callback that draws a bar where stderr is a terminal."""
-    from tqdm import tqdm
-
-    with tqdm(unit=unit, disable=None, leave=False) as bar:
-
-        def advance(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield advance
-
-
-def _show(result: dict[str, Any], as_json: bool, lines: Callable[[], list[str]]) -> None:
-    click.echo(json.dumps(result, indent=2) if as_json else "\n".join(lines()))
-
-
-def _reconstruction_lines(result: dict[str, Any], out: Path) -> list[str]:
-    settings, volume, surface = result["settings"], result["volume"], result["surface"]
-    shape = " x ".join(str(count) for count in volume["shape_zyx"])
-    lines = [
-        f"frames used     {settings['frames_used']}, binning {settings['binning']}",
-        f"volume          {shape} voxels of {settings['voxel_mm']:g} mm, "
-        f"{volume['density_min']:.4g} to {volume['density_max']:.4g} {volume['unit']}",
-    ]
-    if surface is None:
-        lines.append("surface         not drawn: no threshold; give --threshold or [resin] threshold in the rig")
-    else:
-        low, high = surface["bounds_mm"]
-        size = " x ".join(f"{end - start:.3f}" for start, end in zip(low, high, strict=True))
-        lines.append(f"surface         {size} mm, {surface['volume_mm3']:.2f} mm^3, {surface['faces']} faces")
-    return [*lines, f"written to      {out} in {result['elapsed_s']:.1f} s"]
-
-
-def _simulation_lines(result: dict[str, Any], out: Path) -> list[str]:
-    printed, truth = result["printed"], result["truth"]
-    return [
-        f"light on        {printed['lit_s']:.0f} s, {printed['turns_lit']:.2f} turns",
-        f"dose            {truth['largest_dose_mj_per_cm2']:.0f} mJ/cm^2 at most; "
-        f"critical: {truth['critical_dose_mj_per_cm2']:.0f}",
-        f"gelled          {truth['first_gelled_s']:.0f} to {truth['last_gelled_s']:.0f} s, "
-        f"{truth['volume_mm3']:.2f} mm^3 ({truth['reference_volume_mm3']:.2f} meant)",
-        f"frames          {printed['frames']}, {printed['frames_dropped']} dropped",
-        f"written to      {out} in {result['elapsed_s']:.1f} s",
-    ]
-
-
-def _measurement_lines(result: dict[str, Any], out: Path) -> list[str]:
-    poses = [(name, result[key]) for name, key in (("as placed", "as_placed"), ("aligned", "aligned")) if result[key]]
-    rows = [
-        ("RMSE", "rmse_mm", "mm"), ("RMSE, of the largest dimension", "rmse_percent", "%"),
-        ("standard deviation", "std_mm", "mm"), ("mean", "mean_mm", "mm"), ("95 % within", "p95_mm", "mm"),
-        ("RMSE, reference to print", "reverse_rmse_mm", "mm"), ("largest deviation", "hausdorff_mm", "mm"),
-        ("intersection over union", "iou", ""), ("volume error", "volume_error_percent", "%"),
-    ]  # fmt: skip
-    lines = [" " * 34 + "".join(f"{name:>12}" for name, _ in poses)]
-    for title, key, unit in rows:
-        values = "".join(f"{pose[key]:12.4f}" if pose[key] is not None else f"{'-':>12}" for _, pose in poses)
-        lines.append(f"{title:<34}{values} {unit}".rstrip())
-    if result["tolerance"]:
-        verdict = "passed" if result["tolerance"]["passed"] else "FAILED"
-        lines.append(f"tolerance {result['tolerance']['tolerance_mm']:g} mm: {verdict}")
-    return [*lines, f"report: {out / 'report.html'}"]
-
-
-def _plan_lines(result: dict[str, Any], out: Path | None) -> list[str]:
-    metrics = result["metrics"]
-    rows = [
-        ("Jaccard index, best threshold", "jaccard", ""), ("best threshold, of the dose meant", "best_threshold", ""),
-        ("process window", "process_window", ""), ("in-part dose range", "in_part_dose_range", ""),
-        ("voxel error rate", "voxel_error_rate", ""), ("light efficiency", "light_efficiency", ""),
-        ("exposure a turn", "exposure_per_turn_mj_per_cm2", "mJ/cm^2"),
-        ("turns to the critical exposure", "turns_to_critical_exposure", ""),
-    ]  # fmt: skip
-    lines = [
-        f"{title:<34}{metrics[key]:12.4f} {unit}".rstrip() for title, key, unit in rows if metrics.get(key) is not None
-    ]
-    if out is None:
-        return lines
-    count, height, width = result["patterns"]["shape"]
-    lines.append(f"{count} patterns of {height} x {width} pixels after {metrics['passes']} passes: {out}")
-    return [*lines, f"report: {out.with_suffix('.html')}"]
+        lines = [*reconstruction_lines(first, out), "", *measurement_lines(second, out)]
+        show({"reconstruction": first, "measurement": second}, as_json, lambda: lines)

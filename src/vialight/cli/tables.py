@@ -1,0 +1,77 @@
+"""Results as lines for a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+
+def reconstruction_lines(result: dict[str, Any], out: Path) -> list[str]:
+    """Say what was reconstructed."""
+    settings, volume, surface = result["settings"], result["volume"], result["surface"]
+    shape = " x ".join(str(count) for count in volume["shape_zyx"])
+    lines = [
+        f"frames used     {settings['frames_used']}, binning {settings['binning']}",
+        f"volume          {shape} voxels of {settings['voxel_mm']:g} mm, "
+        f"{volume['density_min']:.4g} to {volume['density_max']:.4g} {volume['unit']}",
+    ]
+    if surface is None:
+        lines.append("surface         not drawn: no threshold; give --threshold or [resin] threshold in the rig")
+    else:
+        low, high = surface["bounds_mm"]
+        size = " x ".join(f"{end - start:.3f}" for start, end in zip(low, high, strict=True))
+        lines.append(f"surface         {size} mm, {surface['volume_mm3']:.2f} mm^3, {surface['faces']} faces")
+    return [*lines, f"written to      {out} in {result['elapsed_s']:.1f} s"]
+
+
+def simulation_lines(result: dict[str, Any], out: Path) -> list[str]:
+    """Say what the twin printed."""
+    printed, truth = result["printed"], result["truth"]
+    return [
+        f"light on        {printed['lit_s']:.0f} s, {printed['turns_lit']:.2f} turns",
+        f"dose            {truth['largest_dose_mj_per_cm2']:.0f} mJ/cm^2 at most; "
+        f"critical: {truth['critical_dose_mj_per_cm2']:.0f}",
+        f"gelled          {truth['first_gelled_s']:.0f} to {truth['last_gelled_s']:.0f} s, "
+        f"{truth['volume_mm3']:.2f} mm^3 ({truth['reference_volume_mm3']:.2f} meant)",
+        f"frames          {printed['frames']}, {printed['frames_dropped']} dropped",
+        f"written to      {out} in {result['elapsed_s']:.1f} s",
+    ]
+
+
+def measurement_lines(result: dict[str, Any], out: Path) -> list[str]:
+    """Tabulate how far the print is off."""
+    poses = [(name, result[key]) for name, key in (("as placed", "as_placed"), ("aligned", "aligned")) if result[key]]
+    rows = [
+        ("RMSE", "rmse_mm", "mm"), ("RMSE, of the largest dimension", "rmse_percent", "%"),
+        ("standard deviation", "std_mm", "mm"), ("mean", "mean_mm", "mm"), ("95 % within", "p95_mm", "mm"),
+        ("RMSE, reference to print", "reverse_rmse_mm", "mm"), ("largest deviation", "hausdorff_mm", "mm"),
+        ("intersection over union", "iou", ""), ("volume error", "volume_error_percent", "%"),
+    ]  # fmt: skip
+    lines = [" " * 34 + "".join(f"{name:>12}" for name, _ in poses)]
+    for title, key, unit in rows:
+        values = "".join(f"{pose[key]:12.4f}" if pose[key] is not None else f"{'-':>12}" for _, pose in poses)
+        lines.append(f"{title:<34}{values} {unit}".rstrip())
+    if result["tolerance"]:
+        verdict = "passed" if result["tolerance"]["passed"] else "FAILED"
+        lines.append(f"tolerance {result['tolerance']['tolerance_mm']:g} mm: {verdict}")
+    return [*lines, f"report: {out / 'report.html'}"]
+
+
+def plan_lines(result: dict[str, Any], out: Path | None) -> list[str]:
+    """Tabulate what a plan is expected to do; without `out`, of a plan that was only judged."""
+    metrics = result["metrics"]
+    rows = [
+        ("Jaccard index, best threshold", "jaccard", ""), ("best threshold, of the dose meant", "best_threshold", ""),
+        ("process window", "process_window", ""), ("in-part dose range", "in_part_dose_range", ""),
+        ("voxel error rate", "voxel_error_rate", ""), ("light efficiency", "light_efficiency", ""),
+        ("exposure a turn", "exposure_per_turn_mj_per_cm2", "mJ/cm^2"),
+        ("turns to the critical exposure", "turns_to_critical_exposure", ""),
+    ]  # fmt: skip
+    lines = [
+        f"{title:<34}{metrics[key]:12.4f} {unit}".rstrip() for title, key, unit in rows if metrics.get(key) is not None
+    ]
+    if out is None:
+        return lines
+    count, height, width = result["patterns"]["shape"]
+    lines.append(f"{count} patterns of {height} x {width} pixels after {metrics['passes']} passes: {out}")
+    return [*lines, f"report: {out.with_suffix('.html')}"]
