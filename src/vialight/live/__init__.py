@@ -1,0 +1,1 @@
+"""Frames in, snapshots out: the print measured while it forms."""
