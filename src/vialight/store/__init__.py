@@ -6,6 +6,15 @@ Importing this is cheap: h5py, hdf5plugin and zarr are imported when a file is o
 from vialight.store.exports import export_mp4, export_png
 from vialight.store.folders import staged_file, staged_folder
 from vialight.store.frames import FrameFile, open_frames
+from vialight.store.history import (
+    HistoryMoment,
+    HistoryNumbers,
+    Planes,
+    list_history,
+    read_history,
+    read_history_numbers,
+    write_history,
+)
 from vialight.store.meshes import write_ply, write_stl
 from vialight.store.plans import read_plan, write_plan
 from vialight.store.projections import read_projections
@@ -18,11 +27,17 @@ from vialight.store.volumes import VolumeWriter, read_volume, write_volume
 __all__ = [
     "FrameFile",
     "FrameWriter",
+    "HistoryMoment",
+    "HistoryNumbers",
+    "Planes",
     "SavedState",
     "VolumeWriter",
     "export_mp4",
     "export_png",
+    "list_history",
     "open_frames",
+    "read_history",
+    "read_history_numbers",
     "read_json",
     "read_plan",
     "read_projections",
@@ -34,6 +49,7 @@ __all__ = [
     "staged_folder",
     "to_json",
     "write_frames",
+    "write_history",
     "write_json",
     "write_plan",
     "write_ply",

@@ -1,0 +1,263 @@
+"""The history of a print: about once a second, what was known of it, to scrub back through.
+
+One NumPy archive a moment, ``history/NNNNNN.npz``, numbered by the newest frame; each appears whole.  Images are kept
+as float16 (three digits, which is more than a screen shows) and packed quickly rather than tightly, since the print
+runs while they are written.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vialight.arrays import FloatArray
+from vialight.errors import InputError
+from vialight.store.folders import staged_file
+
+_T = TypeVar("_T")
+
+HISTORY = "history"
+_PLANES = ("xy", "xz", "yz")
+_QUICK = 1
+"""Of zlib's levels: a third of the time of the usual one, and 2 % more bytes."""
+_LARGEST_HALF = float(np.finfo(np.float16).max)
+
+
+class _Planes(Protocol):
+    @property
+    def xy(self) -> NDArray[Any]: ...
+    @property
+    def xz(self) -> NDArray[Any]: ...
+    @property
+    def yz(self) -> NDArray[Any]: ...
+
+
+class _Forecast(Protocol):
+    @property
+    def stop_s(self) -> float: ...
+    @property
+    def sigma_s(self) -> float: ...
+
+
+class _Moment(Protocol):
+    @property
+    def frames(self) -> int: ...
+    @property
+    def time_s(self) -> float: ...
+    @property
+    def voxel_mm(self) -> float: ...
+    @property
+    def centre_z_mm(self) -> float: ...
+    @property
+    def density(self) -> _Planes: ...
+    @property
+    def cured(self) -> _Planes: ...
+    @property
+    def cured_volume_mm3(self) -> float: ...
+
+
+class _Measured(Protocol):
+    @property
+    def lit_s(self) -> float: ...
+    @property
+    def rmse_mm(self) -> float | None: ...
+    @property
+    def reverse_rmse_mm(self) -> float | None: ...
+    @property
+    def iou(self) -> float | None: ...
+    @property
+    def slices(self) -> _Planes: ...
+    @property
+    def gel_time_s(self) -> _Planes: ...
+    @property
+    def forecast(self) -> _Forecast | None: ...
+
+
+class Planes(NamedTuple):
+    """Images along z, y and x: (y, x), (z, x), (z, y); row 0 is the lowest coordinate of the first axis."""
+
+    xy: FloatArray
+    xz: FloatArray
+    yz: FloatArray
+
+
+@dataclass(frozen=True)
+class HistoryNumbers:
+    """The numbers of a moment; NaN where not known."""
+
+    frames: int
+    """Frames used by then."""
+    time_s: float
+    lit_s: float
+    """For how long light had been on when the surface was measured."""
+    cured_volume_mm3: float
+    rmse_mm: float
+    reverse_rmse_mm: float
+    iou: float
+    stop_s: float
+    """Predicted end, as lit time."""
+    sigma_s: float
+
+
+@dataclass(frozen=True)
+class HistoryMoment:
+    """All that is kept of a moment."""
+
+    numbers: HistoryNumbers
+    voxel_mm: float
+    centre_z_mm: float
+    density: Planes
+    """Sums of counts per mm along mm."""
+    cured: Planes
+    """Mm of path above the gelation threshold."""
+    slices: Planes | None
+    """Density in the middle planes, counts per mm; None before there was a surface."""
+    gel_time_s: Planes | None
+    """Mean gel time along each axis; NaN where nothing has gelled."""
+
+
+def write_history(run: str | Path, moment: _Moment, measured: _Measured | None = None) -> Path:
+    """Add a moment to a run's history.
+
+    Parameters
+    ----------
+    run
+        The run's folder; ``history`` in it is made where it is missing.
+    moment
+        A `vialight.links.Snapshot`, or anything with its images and numbers.
+    measured
+        The newest `vialight.links.SurfaceSnapshot`, or the like; None before there is one.
+
+    Returns
+    -------
+    pathlib.Path
+        The file made; NumPy reads it with the keys that `docs/run-folder.md` names.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from vialight.links import Snapshot, Sums
+    >>> image = Sums(*(np.ones((3, 4), np.float32),) * 3)
+    >>> snapshot = Snapshot(180, 18.0, 0.0, 0.05, 10.0, 0.1, 0.0, image, image, 2.5, 0.0)
+    >>> run = Path(tempfile.mkdtemp())
+    >>> write_history(run, snapshot).name
+    '000179.npz'
+    >>> read_history(run, 179).numbers.cured_volume_mm3
+    2.5
+    """
+    number = max(moment.frames - 1, 0)
+    values: dict[str, float] = {name: getattr(moment, name) for name in ("frames", "time_s", "voxel_mm", "centre_z_mm")}
+    values["cured_volume_mm3"] = moment.cured_volume_mm3
+    images: dict[str, _Planes] = {"density": moment.density, "cured": moment.cured}
+    forecast = None if measured is None else measured.forecast
+    for name in ("lit_s", "rmse_mm", "reverse_rmse_mm", "iou"):
+        values[name] = _known(getattr(measured, name, None))
+    for name in ("stop_s", "sigma_s"):
+        values[name] = _known(getattr(forecast, name, None))
+    if measured is not None:
+        images |= {"slice": measured.slices, "gel": measured.gel_time_s}
+    folder = Path(run) / HISTORY
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{number:06d}.npz"
+    arrays: dict[str, NDArray[Any]] = {name: np.asarray(value) for name, value in values.items()}
+    for kind, planes in images.items():
+        arrays |= {f"{kind}_{plane}": _compact(getattr(planes, plane)) for plane in _PLANES}
+    with staged_file(path) as unfinished:
+        _save(unfinished, arrays)
+    return path
+
+
+def list_history(run: str | Path) -> list[int]:
+    """Return the numbers of the moments that a run's history holds, ascending; none where there is no history.
+
+    Examples
+    --------
+    >>> list_history("no such run")
+    []
+    """
+    folder = Path(run) / HISTORY
+    return sorted(int(path.stem) for path in folder.glob("*.npz") if path.stem.isdigit())
+
+
+def read_history(run: str | Path, number: int) -> HistoryMoment:
+    """Read one moment.
+
+    Raises
+    ------
+    InputError
+        There is no such moment, or its file is damaged.
+    """
+
+    def read(held: Mapping[str, NDArray[Any]]) -> HistoryMoment:
+        planes = {kind: _planes(held, kind) for kind in ("density", "cured", "slice", "gel")}
+        density, cured = planes["density"], planes["cured"]
+        if density is None or cured is None:
+            raise KeyError("density_xy")
+        return HistoryMoment(
+            _numbers(held), float(held["voxel_mm"]), float(held["centre_z_mm"]), density, cured,
+            planes["slice"], planes["gel"],
+        )  # fmt: skip
+
+    return _load(run, number, read)
+
+
+def read_history_numbers(run: str | Path, number: int) -> HistoryNumbers:
+    """Read the numbers of one moment alone, in about a millisecond.
+
+    Raises
+    ------
+    InputError
+        There is no such moment, or its file is damaged.
+    """
+    return _load(run, number, _numbers)
+
+
+def _numbers(held: Mapping[str, NDArray[Any]]) -> HistoryNumbers:
+    names = ("time_s", "lit_s", "cured_volume_mm3", "rmse_mm", "reverse_rmse_mm", "iou", "stop_s", "sigma_s")
+    return HistoryNumbers(int(held["frames"]), *(float(held[name]) for name in names))
+
+
+def _planes(held: Mapping[str, NDArray[Any]], kind: str) -> Planes | None:
+    if f"{kind}_xy" not in held:
+        return None
+    return Planes(*(held[f"{kind}_{plane}"].astype(np.float64) for plane in _PLANES))
+
+
+def _load(run: str | Path, number: int, read: Callable[[Mapping[str, NDArray[Any]]], _T]) -> _T:
+    path = Path(run) / HISTORY / f"{number:06d}.npz"
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+            return read(held)
+    except FileNotFoundError as error:
+        raise InputError(path, "there is no such moment", accepted="a number that `list_history` gives") from error
+    except Exception as error:  # zip and numpy fail in as many ways as files are broken
+        raise InputError(path, f"is damaged, or no moment of a print ({type(error).__name__}: {error})") from error
+
+
+def _known(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _compact(values: NDArray[Any]) -> NDArray[np.float16 | np.float32]:
+    """Halve what halves can hold; a camera of 16 bits may sum to more."""
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    return values.astype(np.float16 if largest <= _LARGEST_HALF else np.float32)
+
+
+def _save(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    # Not `numpy.savez_compressed`, whose level cannot be chosen; what it reads is the same.
+    with zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED, compresslevel=_QUICK) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
