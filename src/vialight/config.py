@@ -7,9 +7,11 @@ what it does not need may be absent.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -219,29 +221,78 @@ def load_rig(path: str | Path) -> Rig:
     InputError
         The file is missing, is not TOML, or holds unknown, missing or impossible values.
     """
-    path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            path, f"cannot be read ({error.strerror})", accepted="a rig in TOML", remedy="check the path"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            path, f"is not TOML ({error})", accepted="a rig in TOML", remedy="see docs/reference.md"
-        ) from error
+    table = read_toml(Path(path), accepted="a rig in TOML", remedy="check the path")
     if "source" in table:
         raise InputError(path, "unknown key source", remedy="remove it")
+    return _checked(table, str(path))
+
+
+def changed_rig(rig: Rig, changes: Mapping[str, Any], where: str) -> Rig:
+    """Return a rig with other values, checked as if read from a file.
+
+    Parameters
+    ----------
+    rig
+        What is not changed.
+    changes
+        Tables of a rig file with the keys that differ.
+    where
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        A key is unknown, or a value impossible.
+
+    Examples
+    --------
+    >>> changed_rig(Rig(), {"stage": {"speed_deg_s": 24.0}}, "faults.toml").stage
+    Stage(speed_deg_s=24.0, direction=1)
+    """
+    table = rig.model_dump(by_alias=True, exclude_none=True)
+    for key, value in changes.items():
+        both = isinstance(value, Mapping) and isinstance(table.get(key), Mapping)
+        table[key] = table[key] | value if both else value
+    return _checked(table, where)
+
+
+def read_toml(source: Path | Traversable, *, accepted: str, remedy: str, name: object = None) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    source
+        The file.
+    accepted, remedy
+        What was expected, and what to do where it is not there; for errors.
+    name
+        What the user calls the file; by default its path.
+
+    Raises
+    ------
+    InputError
+        The file is missing or is not TOML.
+    """
+    name = source if name is None else name
     try:
-        return Rig.model_validate(table | {"source": str(path)})
+        return tomllib.loads(source.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(name, f"cannot be read ({error.strerror})", accepted=accepted, remedy=remedy) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(name, f"is not TOML ({error})", accepted=accepted, remedy="see docs/reference.md") from error
+
+
+def _checked(table: Mapping[str, Any], where: str) -> Rig:
+    try:
+        return Rig.model_validate({**table, "source": where})
     except ValidationError as error:
-        raise _explain(path, error) from error
+        raise _explain(where, error) from error
 
 
-def _explain(path: Path, error: ValidationError) -> InputError:
+def _explain(path: str, error: ValidationError) -> InputError:
     fault = error.errors()[0]
     *tables, key = [str(part) for part in fault["loc"]] or ["rig"]
-    where = f"{path} [{'.'.join(tables)}]" if tables else str(path)
+    where = f"{path} [{'.'.join(tables)}]" if tables else path
     model: object = Rig
     for table in tables:
         model = _field(model, table)

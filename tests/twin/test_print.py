@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from vialight.arrays import Float32Array, Grid
 from vialight.cli import main
 from vialight.commands import reconstruct_recording
 from vialight.commands.simulating import simulate_print
-from vialight.config import Rig
+from vialight.config import Rig, load_rig
 from vialight.errors import InputError
 from vialight.mesh import Mesh, load_mesh
 from vialight.metrology import compare
@@ -193,16 +194,42 @@ def test_what_is_simulated_is_reconstructed_as_it_was(plan_path: Path, printer: 
     assert abs(placed["mean_mm"]) < 0.1
 
 
+def test_a_print_with_faults_writes_a_rig_that_is_wrong_as_ordered(
+    plan_path: Path, printer: Path, tmp_path: Path
+) -> None:
+    wrong = "dropped_share = 0.2\nprojector_gain = 0.5\n[believed.resin]\nindex_imaging = 1.5\n"
+    (tmp_path / "faults.toml").write_text(f"{wrong}[believed.camera]\ndistance_mm = 170.0\naxis_column = 88.5\n")
+    order = ["simulate", str(plan_path), "--rig", str(printer), "--resin", "DUDMA", "--turns", "6.4"]
+    order += ["--voxel", "0.4", "--bin", "4", "--faults", str(tmp_path / "faults.toml"), "--json"]
+    done = CliRunner().invoke(main, [*order, "--out", str(tmp_path / "run")], catch_exceptions=False)
+    assert done.exit_code == 0, done.stderr
+    result = json.loads(done.stdout)
+    told = load_rig(tmp_path / "run" / "rig.toml")
+    assert told.resin.index_imaging == 1.5
+    assert told.need_camera().distance_mm == 170.0
+    assert told.need_camera().axis_column == (88.5 + 0.5) / 4 - 0.5
+    # What happened is what the printer is: dimmed to half, it prints for twice as long.
+    assert result["rig"]["resin"]["index_imaging"] == 1.48
+    assert 0.1 < result["printed"]["frames_dropped"] / (7.4 * 180) < 0.3
+    assert result["truth"]["volume_mm3"] == pytest.approx(result["truth"]["reference_volume_mm3"], rel=0.25)
+    assert result["settings"]["faults"]["projector_gain"] == 0.5
+    assert result["believed"]["camera"]["distance_mm"] == 170.0
+    assert set(result["inputs"]) == {"plan", "faults"}
+
+
 def test_impossible_orders_are_refused_and_nothing_is_written(plan_path: Path, tmp_path: Path) -> None:
+    faulty = tmp_path / "faults.toml"
+    faulty.write_text("[believed.lens]\nfocus_mm = 25.0\n")
     for orders, fault in (
         ({"turns": 2.0, "dose_mj_per_cm2": 100.0}, "--turns"),
         ({"turns": -1.0}, "--turns is -1"),
         ({"dose_mj_per_cm2": 50.0}, "cannot gel"),
         ({"voxel_mm": 0.0}, "--voxel"),
+        ({"faults": faulty}, "unknown key lens"),
     ):
         with pytest.raises(InputError, match=fault.replace(" is", ": is")):
-            simulate_print(plan_path, "orth2022-190", "DUDMA", tmp_path / "run", **orders)  # type: ignore[arg-type]
-    assert not list(tmp_path.iterdir())
+            simulate_print(plan_path, "orth2022-190", "DUDMA", tmp_path / "run", **orders)
+    assert list(tmp_path.iterdir()) == [faulty]
 
 
 def test_the_command_line_tells_a_missing_resin_in_one_line(plan_path: Path, tmp_path: Path) -> None:

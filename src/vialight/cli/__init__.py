@@ -191,10 +191,11 @@ def _given_projections(options: dict[str, Any]) -> GivenProjections | None:
 @click.option("--voxel", type=float, default=0.1, show_default=True, help="Edge of a voxel of resin, mm.")
 @click.option("--bin", "binning", type=int, default=1, show_default=True, help="Sum N x N of the camera's pixels.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the noise.")
+@click.option("--faults", type=_FILE, help="What is wrong with the printer, and with the rig.toml written: TOML.")
 @_as_json
 def simulate(
     plan: Path, rig: Path, resin: str, out: Path, turns: float | None, dose: float | None, voxel: float, binning: int,
-    seed: int, as_json: bool,
+    seed: int, faults: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Print a PLAN on the digital twin and record it.
 
@@ -210,7 +211,7 @@ def simulate(
         with progress("s") as advance:
             result = simulate_print(
                 plan, rig, resin, out, turns=turns, dose_mj_per_cm2=dose, voxel_mm=voxel, settings=settings,
-                progress=advance,
+                faults=faults, progress=advance,
             )  # fmt: skip
         show(result, as_json, lambda: simulation_lines(result, out))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,14 @@ from vialight.errors import InputError
 from vialight.plan import Plan
 from vialight.store import FrameWriter, read_plan, rig_to_toml, staged_folder, write_json, write_stl
 from vialight.twin import (
+    FaultsFile,
     Twin,
     TwinSettings,
     check_that_it_gels,
     dose_a_turn_mj_per_cm2,
     find_rig,
     grid_round,
+    load_faults,
     load_resin,
     play,
 )
@@ -42,6 +44,7 @@ def simulate_print(
     dose_mj_per_cm2: float | None = None,
     voxel_mm: float = 0.1,
     settings: TwinSettings | None = None,
+    faults: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Print a plan on the twin, and record it.
@@ -63,6 +66,9 @@ def simulate_print(
         Of the resin.
     settings
         Of the twin.
+    faults
+        What is wrong with the printer, and with the ``rig.toml`` that is written: TOML; takes the place of the
+        settings' faults.
     progress
         Called with seconds done and to do.
 
@@ -74,7 +80,7 @@ def simulate_print(
     Raises
     ------
     InputError
-        Plan, rig or resin cannot be used, the resin cannot gel, or `out` cannot be written.
+        Plan, rig, resin or faults cannot be used, the resin cannot gel, or `out` cannot be written.
     """
     started = time.monotonic()
     if turns is not None and dose_mj_per_cm2 is not None:
@@ -84,6 +90,11 @@ def simulate_print(
             raise InputError(name, f"is {value}", accepted="a positive number", remedy="correct it")
     plan, model = read_plan(plan_path), load_resin(resin)
     rig = model.in_vial_of(find_rig(rig_path))
+    wrong = FaultsFile() if faults is None else load_faults(faults)
+    settings = settings or TwinSettings()
+    if faults is not None:
+        settings = replace(settings, faults=wrong.faults)
+    believed = wrong.rig_as_believed(rig)
     twin = Twin(rig, model, grid_round(plan.reference, voxel_mm, reach_mm=_reach_mm(rig)), settings)
     a_turn = dose_a_turn_mj_per_cm2(plan.patterns, twin)
     planned = turns if dose_mj_per_cm2 is None else dose_mj_per_cm2 / a_turn
@@ -93,14 +104,15 @@ def simulate_print(
         truth = twin.surface()
         write_stl(folder / "truth.stl", truth)
         write_stl(folder / "reference.stl", plan.reference)
-        recorded = rig.model_copy(update={"camera": rig.need_camera().binned(twin.settings.binning)})
+        recorded = believed.model_copy(update={"camera": believed.need_camera().binned(settings.binning)})
         (folder / "rig.toml").write_text(rig_to_toml(recorded), encoding="utf-8")
         gelled = np.isfinite(twin.gel_time_s)
         result = {
-            "inputs": inputs_json(plan=plan_path),
+            "inputs": inputs_json(plan=plan_path, **({} if faults is None else {"faults": faults})),
             "rig": rig.model_dump(mode="json", by_alias=True, exclude_none=True),
             "resin": {"chemistry": asdict(model.chemistry), "scattering": asdict(model.scattering)},
-            "settings": asdict(twin.settings) | {"voxel_mm": voxel_mm},
+            "settings": asdict(settings) | {"voxel_mm": voxel_mm},
+            "believed": wrong.believed or {},
             "printed": printed | {"dose_a_turn_mj_per_cm2": a_turn},
             "truth": {
                 "file": "truth.stl",

@@ -5,13 +5,14 @@ It traces rays through glass and resin and knows nothing of the closed forms tha
 """
 
 from vialight.twin.exposure import dose_of
-from vialight.twin.faults import Faults
+from vialight.twin.faults import Faults, FaultsFile, load_faults
 from vialight.twin.machine import Frame, Twin, TwinSettings
 from vialight.twin.presets import ResinModel, find_rig, load_resin, resin_names, rig_names
 from vialight.twin.printing import Moment, check_that_it_gels, dose_a_turn_mj_per_cm2, grid_round, play
 
 __all__ = [
     "Faults",
+    "FaultsFile",
     "Frame",
     "Moment",
     "ResinModel",
@@ -22,6 +23,7 @@ __all__ = [
     "dose_of",
     "find_rig",
     "grid_round",
+    "load_faults",
     "load_resin",
     "play",
     "resin_names",

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from vialight.arrays import Float32Array, Grid
+from vialight.config import Rig, changed_rig, read_toml
 from vialight.errors import InputError
 from vialight.twin.poses import Pose
+from vialight.twin.tables import from_table
 
 
 @dataclass(frozen=True)
 class Faults:
     """Faults of stage, lamp, camera, projector and resin; all off by default.
 
-    A wrong index or distance is not among them: it is had by giving the reconstruction another rig.
+    A wrong index or distance is not among them, as it is no property of the printer: `FaultsFile` has it.
 
     Parameters
     ----------
@@ -62,8 +66,9 @@ class Faults:
 
     def __post_init__(self) -> None:
         for name, low, high in (
-            ("speed_ripple", 0.0, 0.9), ("dropped_share", 0.0, 0.95), ("timestamp_jitter_s", 0.0, np.inf),
-            ("projector_gain", 0.0, np.inf), ("specks", 0, 10_000), ("run_out_mm", 0.0, 5.0),
+            ("speed_ripple", 0.0, 0.9), ("ripples_a_turn", 1, 1000), ("dropped_share", 0.0, 0.95),
+            ("timestamp_jitter_s", 0.0, 1.0), ("led_drift_per_s", -1.0, 1.0), ("projector_gain", 0.0, 100.0),
+            ("specks", 0, 10_000), ("speck_mm", 0.01, 5.0), ("speck_counts_per_mm", 0.0, 1e6), ("run_out_mm", 0.0, 5.0),
         ):  # fmt: skip
             value = getattr(self, name)
             if not low <= value <= high:
@@ -94,3 +99,47 @@ class Faults:
             ]
             density += (self.speck_counts_per_mm * np.einsum("i,j,k->ijk", *near)).astype(np.float32)
         return density
+
+
+@dataclass(frozen=True)
+class FaultsFile:
+    """What a file of faults asks for.
+
+    Parameters
+    ----------
+    faults
+        Of the printer.
+    believed
+        Tables of a rig with the values that the reconstruction is given in place of the true ones.
+    source
+        The file, for errors.
+    """
+
+    faults: Faults = Faults()
+    believed: dict[str, Any] | None = None
+    source: str = "faults"
+
+    def rig_as_believed(self, rig: Rig) -> Rig:
+        """Return the rig that the reconstruction is given.
+
+        Raises
+        ------
+        InputError
+            A key is unknown to rigs, or a value impossible.
+        """
+        return changed_rig(rig, self.believed, f"{self.source} [believed]") if self.believed else rig
+
+
+def load_faults(path: str | Path) -> FaultsFile:
+    """Read faults: a TOML file with the fields of `Faults` (angles in degrees) and a table ``[believed]``.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is not TOML, or holds unknown or impossible values.
+    """
+    table = read_toml(Path(path), accepted="faults in TOML", remedy="check the path")
+    believed = table.pop("believed", {})
+    if not isinstance(believed, dict):
+        raise InputError(path, f"believed is {believed!r}", accepted="tables of a rig", remedy="correct it")
+    return FaultsFile(from_table(Faults, table, str(path)), believed, str(path))

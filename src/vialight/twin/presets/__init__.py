@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 
-from vialight.config import Resin, Rig, load_rig
+from vialight.config import Resin, Rig, load_rig, read_toml
 from vialight.errors import InputError
 from vialight.twin.chemistry import Chemistry
 from vialight.twin.scattering import Scattering
-
-_Table = TypeVar("_Table", Chemistry, Scattering)
+from vialight.twin.tables import from_table
 
 
 @dataclass(frozen=True)
@@ -98,8 +96,8 @@ def load_resin(name: str | Path) -> ResinModel:
             raise InputError(f"{where} [resin]", f"key {key} is missing", remedy="add it")
     return ResinModel(
         optical,
-        _dataclass(Chemistry, table.get("chemistry", {}), f"{where} [chemistry]"),
-        _dataclass(Scattering, table.get("scattering", {}), f"{where} [scattering]"),
+        from_table(Chemistry, table.get("chemistry", {}), f"{where} [chemistry]"),
+        from_table(Scattering, table.get("scattering", {}), f"{where} [scattering]"),
     )
 
 
@@ -130,26 +128,5 @@ def _names(kind: str) -> list[str]:
 def _read(name: str | Path, kind: str, known: list[str]) -> tuple[dict[str, Any], str]:
     preset = files(__name__) / kind / f"{name}.toml"
     source: Traversable | Path = preset if preset.is_file() else Path(name)
-    try:
-        return tomllib.loads(source.read_text(encoding="utf-8")), str(name)
-    except OSError as error:
-        raise InputError(
-            name, f"cannot be read ({error.strerror})", accepted=f"{', '.join(known)}, or a TOML file",
-            remedy="check the name",
-        ) from error  # fmt: skip
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            name, f"is not TOML ({error})", accepted="a resin in TOML", remedy="see docs/twin.md"
-        ) from error
-
-
-def _dataclass(kind: type[_Table], table: object, where: str) -> _Table:
-    names = [field.name for field in fields(kind)]
-    if not isinstance(table, dict):
-        raise InputError(where, f"is {table!r}", accepted=f"a table of {', '.join(names)}")
-    for key, value in table.items():
-        if key not in names:
-            raise InputError(where, f"unknown key {key}", accepted=", ".join(names), remedy="correct or remove it")
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(where, f"{key} is {value!r}", accepted="a number", remedy="correct it")
-    return kind(**{key: float(value) for key, value in table.items()})
+    accepted = f"{', '.join(known)}, or a TOML file"
+    return read_toml(source, accepted=accepted, remedy="check the name", name=name), str(name)
