@@ -1,0 +1,12 @@
+"""The parallel-beam Radon transform of stacks of slices: ramp filters and backprojection.
+
+A ray is the line ``x cos(psi) - y sin(psi) = s`` of the object frame.  Arrays keep z innermost, so that the index and
+the weight of a pixel are computed once and applied to a whole column of slices.  `filters` has the ramps, `level` and
+`climbing` backproject whole sinograms.
+"""
+
+from vialight.radon.climbing import backproject_tilted
+from vialight.radon.filters import FilterName, filter_rays, ramp_filter
+from vialight.radon.level import backproject
+
+__all__ = ["FilterName", "backproject", "backproject_tilted", "filter_rays", "ramp_filter"]

@@ -1,0 +1,120 @@
+"""Ramp filters as products with Toeplitz matrices."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+from numba import njit, prange
+
+from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.errors import InputError
+
+FilterName = Literal["ram-lak", "shepp-logan", "cosine", "hann"]
+
+_SAMPLES_A_PASS = 12
+"""Samples that a filter weighs before a filtered one is written back."""
+
+
+def ramp_filter(name: FilterName, count: int, spacing_mm: float) -> Float32Array:
+    """Return a ramp filter as the matrix that convolves a row of samples.
+
+    Parameters
+    ----------
+    name
+        ``ram-lak``: the band-limited ramp, sampled exactly in space (Kak and Slaney 1988, eq. 3.61), so that there is
+        no offset as from a ramp sampled in frequency.  ``shepp-logan``: the ramp times sinc(f / 2 f_N), also exact in
+        space.  ``cosine`` and ``hann``: the band-limited ramp times cos(pi f / 2 f_N) and cos^2(pi f / 2 f_N), as
+        exact combinations of shifted ``ram-lak`` samples.
+    count
+        Samples in a row.
+    spacing_mm
+        Distance between samples; f_N = 1 / (2 spacing).
+
+    Returns
+    -------
+    numpy.ndarray
+        (count, count) float32, 1/mm: ``filtered = matrix @ row``.  Symmetric Toeplitz.
+
+    Examples
+    --------
+    >>> ramp_filter("ram-lak", 2, 1.0)
+    array([[ 0.25      , -0.10132118],
+           [-0.10132118,  0.25      ]], dtype=float32)
+    """
+    lag = np.arange(count, dtype=np.float64)
+    if name == "ram-lak":
+        kernel = _ram_lak(lag)
+    elif name == "shepp-logan":
+        kernel = -2 / (np.pi**2 * (4 * lag**2 - 1))
+    elif name == "cosine":
+        # cos(pi f / 2 f_N) = cos(2 pi f spacing / 2): the mean of the ramp half a sample to the left and to the right.
+        kernel = (_ram_lak(lag - 0.5) + _ram_lak(lag + 0.5)) / 2
+    elif name == "hann":
+        kernel = _ram_lak(lag) / 2 + (_ram_lak(lag - 1) + _ram_lak(lag + 1)) / 4
+    else:
+        raise InputError("filter", f"is {name!r}", accepted=", ".join(get_args(FilterName)))
+    index = np.arange(count)
+    return np.asarray(kernel[np.abs(index[:, None] - index[None, :])] / spacing_mm, dtype=np.float32)
+
+
+def _ram_lak(lag: FloatArray) -> FloatArray:
+    """Return the band-limited ramp at any lag in samples: the inverse transform of |f| for |f| <= 1/2."""
+    return np.sinc(lag) / 2 - np.sinc(lag / 2) ** 2 / 4
+
+
+def filter_rays(matrix: Float32Array, rays: Float32Array) -> Float32Array:
+    """Filter the rays of every angle and height.
+
+    The same as ``matrix @ rays``, without BLAS: the threads of OpenBLAS stay awake after each product and take a core
+    from the kernels that follow, which made a reconstruction on two cores a third slower.
+
+    Parameters
+    ----------
+    matrix
+        (s, s) float32, see `ramp_filter`.
+    rays
+        (psi, s, z) float32.
+
+    Returns
+    -------
+    numpy.ndarray
+        (psi, s, z) float32.
+
+    Examples
+    --------
+    >>> filter_rays(np.eye(2, dtype=np.float32), np.ones((1, 2, 1), np.float32)).ravel()
+    array([1., 1.], dtype=float32)
+    """
+    filtered = np.zeros(rays.shape, np.float32)
+    _filter_rays(np.pad(matrix, ((0, 0), (0, -len(matrix) % _SAMPLES_A_PASS))), rays, filtered)
+    return filtered
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _filter_rays(matrix: Float32Array, rays: Float32Array, filtered: Float32Array) -> None:
+    angles, samples, depth = rays.shape
+    padded = matrix.shape[1]
+    for a in prange(angles):
+        row = np.zeros((padded, depth), np.float32)
+        row[:samples] = rays[a]
+        for j in range(0, padded, _SAMPLES_A_PASS):
+            for i in range(samples):
+                m0, m1, m2, m3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
+                m4, m5, m6, m7 = matrix[i, j + 4], matrix[i, j + 5], matrix[i, j + 6], matrix[i, j + 7]
+                m8, m9, m10, m11 = matrix[i, j + 8], matrix[i, j + 9], matrix[i, j + 10], matrix[i, j + 11]
+                for z in range(depth):
+                    filtered[a, i, z] += (
+                        m0 * row[j, z]
+                        + m1 * row[j + 1, z]
+                        + m2 * row[j + 2, z]
+                        + m3 * row[j + 3, z]
+                        + m4 * row[j + 4, z]
+                        + m5 * row[j + 5, z]
+                        + m6 * row[j + 6, z]
+                        + m7 * row[j + 7, z]
+                        + m8 * row[j + 8, z]
+                        + m9 * row[j + 9, z]
+                        + m10 * row[j + 10, z]
+                        + m11 * row[j + 11, z]
+                    )
