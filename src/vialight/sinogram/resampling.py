@@ -13,10 +13,10 @@ from vialight.viewing import columns_and_directions, rows_and_plan_share
 
 AngleTaps = tuple[np.intp, np.intp, np.intp, np.intp, np.float32, np.float32, np.float32, np.float32, np.float32]
 
-_WIDE_GAP_STEPS = 1.75
+WIDE_GAP_STEPS = 1.75
 """A gap of more nominal steps than this has lost a frame: rays there are taken from the opposite side."""
 
-_BRIDGED_GAP_STEPS = 4.5
+BRIDGED_GAP_STEPS = 4.5
 """Up to this many steps a ray that no side sees is interpolated across the gap."""
 
 _SPLINE_POLE = np.sqrt(3.0) - 2.0
@@ -68,7 +68,7 @@ def resample(
     rows, plan_share = rows_and_plan_share(frames.shape[2], z_mm, camera, optics)
     if frames.shape[1] == 1:
         frames = np.repeat(frames, 2, axis=1)
-    by_column = _read_rows(frames, order, *_row_taps(rows - first_row, plan_share, frames.shape[1]))
+    by_column = _read_rows(frames, order, *row_taps(rows - first_row, plan_share, frames.shape[1]))
     step = nominal_step(angles)
     out = np.zeros((len(beam.psi_rad), len(column), len(z_mm)), np.float32)
     gap_steps = np.zeros(out.shape[:2], np.float32)
@@ -81,15 +81,15 @@ def _fill_from_opposite(sinogram: Float32Array, gap_steps: Float32Array) -> None
     """Take rays that a gap has lost from the opposite side, where (psi + pi, -x_v) is the same ray."""
     half = len(sinogram) // 2
     opposite_gap = np.roll(gap_steps, -half, axis=0)[:, ::-1]
-    lost = gap_steps > _WIDE_GAP_STEPS
-    psi, x = np.nonzero(lost & (opposite_gap <= _WIDE_GAP_STEPS))
+    lost = gap_steps > WIDE_GAP_STEPS
+    psi, x = np.nonzero(lost & (opposite_gap <= WIDE_GAP_STEPS))
     sinogram[psi, x] = sinogram[(psi + half) % len(sinogram), sinogram.shape[1] - 1 - x]
-    unseen: BoolArray = lost & (opposite_gap > _BRIDGED_GAP_STEPS) & (gap_steps > _BRIDGED_GAP_STEPS)
+    unseen: BoolArray = lost & (opposite_gap > BRIDGED_GAP_STEPS) & (gap_steps > BRIDGED_GAP_STEPS)
     sinogram[unseen] = 0
 
 
 @njit(inline="always")
-def _cubic_convolution(t: float) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+def cubic_convolution(t: float) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Weights of samples -1, 0, 1, 2 at 0 <= t < 1 (Keys 1981, a = -1/2)."""
     return (
         np.float32(((-0.5 * t + 1.0) * t - 0.5) * t),
@@ -99,7 +99,7 @@ def _cubic_convolution(t: float) -> tuple[np.float32, np.float32, np.float32, np
     )
 
 
-def _row_taps(rows: FloatArray, share: FloatArray, height: int) -> tuple[NDArray[np.int32], Float32Array]:
+def row_taps(rows: FloatArray, share: FloatArray, height: int) -> tuple[NDArray[np.int32], Float32Array]:
     """Return (column, z, 4) rows and weights of the cubic B-spline through an image's column.
 
     Beyond the end rows, of which there are two at least, the image goes on as it ends; splines are mirrored there.
@@ -114,7 +114,7 @@ def _row_taps(rows: FloatArray, share: FloatArray, height: int) -> tuple[NDArray
 
 
 @njit(inline="always")
-def _spline_coefficients(frame: Float32Array) -> None:
+def spline_coefficients(frame: Float32Array) -> None:
     """Turn samples along rows into cubic B-spline coefficients in place, mirrored at the ends (Unser 1999, box 2)."""
     height, columns = frame.shape
     pole, period = np.float32(_SPLINE_POLE), 2 * (height - 1)
@@ -145,7 +145,7 @@ def _read_rows(frames: Float32Array, order: IntArray, taps: NDArray[np.int32], w
     out = np.empty((columns, len(order), depth), np.float32)
     for f in prange(len(order)):
         coefficients = frames[order[f]].copy()
-        _spline_coefficients(coefficients)
+        spline_coefficients(coefficients)
         for c in range(columns):
             for z in range(depth):
                 total = weights[c, z, 0] * coefficients[taps[c, z, 0], c]
@@ -175,7 +175,7 @@ def _read_columns_and_angles(
             continue
         position = min(max(position, 0.0), columns - 1.0)
         floor = min(int(position), columns - 2)
-        w0, w1, w2, w3 = _cubic_convolution(position - floor)
+        w0, w1, w2, w3 = cubic_convolution(position - floor)
         before, after = max(floor - 1, 0), min(floor + 2, columns - 1)
         views = np.empty((count, depth), np.float32)
         for f in range(count):
@@ -195,11 +195,7 @@ def _read_columns_and_angles(
 
 @njit(inline="always")
 def _angle_taps(theta: float, angles: FloatArray, step: float) -> AngleTaps:
-    """Return four frames about a stage angle, their weights, and the width in steps of the gap that it falls in.
-
-    Cubic where all three gaps are narrow, linear where a neighbouring one is wide; within half a step of a frame a wide
-    gap does not count, and that frame stands alone.
-    """
+    """Return four frames about a stage angle, their weights, and the width in steps of the gap that it falls in."""
     count = len(angles)
     theta = theta % TURN_RAD
     i1 = np.searchsorted(angles, theta, side="right") - 1
@@ -208,15 +204,27 @@ def _angle_taps(theta: float, angles: FloatArray, step: float) -> AngleTaps:
     # Positions relative to theta, so that the turn's end needs no case of its own.
     t1, t2 = -((theta - angles[i1]) % TURN_RAD), (angles[i2] - theta) % TURN_RAD
     t0, t3 = t1 - (angles[i1] - angles[i0]) % TURN_RAD, t2 + (angles[i3] - angles[i2]) % TURN_RAD
+    return i0, i1, i2, i3, *angle_weights(t0, t1, t2, t3, step)
+
+
+@njit(inline="always")
+def angle_weights(
+    t0: float, t1: float, t2: float, t3: float, step: float
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Return the weights of four frames, at angles relative to the one wanted, and the gap's width in steps.
+
+    Cubic where all three gaps are narrow, linear where a neighbouring one is wide; within half a step of a frame a wide
+    gap does not count, and that frame stands alone.
+    """
     gap = (t2 - t1) / step
-    if gap > _WIDE_GAP_STEPS and min(-t1, t2) <= 0.5 * step:
+    if gap > WIDE_GAP_STEPS and min(-t1, t2) <= 0.5 * step:
         near = np.float32(1) if -t1 <= t2 else np.float32(0)
-        return i0, i1, i2, i3, np.float32(0), near, np.float32(1) - near, np.float32(0), np.float32(1)
-    if max(gap, (t1 - t0) / step, (t3 - t2) / step) > _WIDE_GAP_STEPS:
+        return np.float32(0), near, np.float32(1) - near, np.float32(0), np.float32(1)
+    if max(gap, (t1 - t0) / step, (t3 - t2) / step) > WIDE_GAP_STEPS:
         weight = np.float32(-t1 / (t2 - t1))
-        return i0, i1, i2, i3, np.float32(0), np.float32(1) - weight, weight, np.float32(0), np.float32(gap)
+        return np.float32(0), np.float32(1) - weight, weight, np.float32(0), np.float32(gap)
     a0 = np.float32(-t1 * t2 * t3 / ((t0 - t1) * (t0 - t2) * (t0 - t3)))
     a1 = np.float32(-t0 * t2 * t3 / ((t1 - t0) * (t1 - t2) * (t1 - t3)))
     a2 = np.float32(-t0 * t1 * t3 / ((t2 - t0) * (t2 - t1) * (t2 - t3)))
     a3 = np.float32(-t0 * t1 * t2 / ((t3 - t0) * (t3 - t1) * (t3 - t2)))
-    return i0, i1, i2, i3, a0, a1, a2, a3, np.float32(gap)
+    return a0, a1, a2, a3, np.float32(gap)
