@@ -143,7 +143,25 @@ def open_scan(frames: FrameFile, rig: Rig, settings: Settings) -> Scan:
 
 
 def grid_for(scan: Scan, beam: ParallelBeam, voxel_mm: float | None) -> Grid:
-    """Return the grid that holds all that the camera sees of the resin.
+    """Return the grid that holds all that the camera sees of the resin; see `grid_of_view`."""
+    return grid_of_view(scan.shape[0], scan.camera, scan.optics, beam, voxel_mm)
+
+
+def grid_of_view(
+    rows: int, camera: Camera, optics: Optics | None, beam: ParallelBeam, voxel_mm: float | None = None
+) -> Grid:
+    """Return the grid that holds all that a camera sees of the resin.
+
+    Parameters
+    ----------
+    rows
+        Of a (binned) frame.
+    camera, optics
+        As the rig has them, for binned pixels; no optics for data without a vial.
+    beam
+        The rays of the sinogram.
+    voxel_mm
+        See `Settings`.
 
     Raises
     ------
@@ -151,9 +169,9 @@ def grid_for(scan: Scan, beam: ParallelBeam, voxel_mm: float | None) -> Grid:
         The volume would not fit into memory.
     """
     if voxel_mm is None:
-        voxel_mm = scan.camera.pixel_mm if scan.optics is None else scan.camera.pixel_mm / 2
-    across = max(2, 2 * int(_field_radius(scan, beam) / voxel_mm))
-    bottom, top = heights_seen(scan.shape[0], scan.camera, scan.optics)
+        voxel_mm = camera.pixel_mm if optics is None else camera.pixel_mm / 2
+    across = max(2, 2 * int(field_radius_mm(beam, optics) / voxel_mm))
+    bottom, top = heights_seen(rows, camera, optics)
     grid = Grid((int((top - bottom) / voxel_mm + 1e-6) + 1, across, across), voxel_mm, (bottom + top) / 2)
     size = 4 * np.prod(grid.shape, dtype=np.float64)
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
@@ -195,7 +213,7 @@ def reconstruct(
     beam = scan.beam
     grid = grid or grid_for(scan, beam, settings.voxel_mm)
     density = np.empty(grid.shape, np.float32)
-    outside = np.hypot(grid.x_mm, grid.y_mm[:, None]) > _field_radius(scan, beam)
+    outside = np.hypot(grid.x_mm, grid.y_mm[:, None]) > field_radius_mm(beam, scan.optics)
     read = _row_window(scan)
     for start in range(0, grid.shape[0], SLICES_A_BLOCK):
         block = slice(start, min(start + SLICES_A_BLOCK, grid.shape[0]))
@@ -258,5 +276,6 @@ def _row_window(scan: Scan) -> RowReader:
     return read
 
 
-def _field_radius(scan: Scan, beam: ParallelBeam) -> float:
-    return float(beam.virtual_x_mm[-1]) if scan.optics is None else scan.optics.field_radius_mm
+def field_radius_mm(beam: ParallelBeam, optics: Optics | None) -> float:
+    """Return the distance from the axis within which every ray is seen."""
+    return float(beam.virtual_x_mm[-1]) if optics is None else optics.field_radius_mm
