@@ -8,7 +8,16 @@ import pytest
 
 from vialight.errors import InputError
 from vialight.links import Snapshot, StopForecast, Sums, SurfaceSnapshot
-from vialight.store import list_history, read_history, read_history_numbers, write_history
+from vialight.mesh import Mesh
+from vialight.store import (
+    list_history,
+    list_surfaces,
+    read_history,
+    read_history_numbers,
+    read_surface,
+    write_history,
+    write_ply,
+)
 
 
 def images(value: float) -> Sums:
@@ -67,3 +76,36 @@ def test_a_missing_and_a_damaged_moment_say_so(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:400])
     with pytest.raises(InputError, match="is damaged"):
         read_history(tmp_path, 199)
+
+
+def test_surfaces_come_back_with_and_without_a_deviation(tmp_path: Path) -> None:
+    (tmp_path / "surfaces").mkdir()
+    corner = Mesh(
+        np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4]]), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    )
+    write_ply(tmp_path / "surfaces" / "000009.ply", corner, {"deviation_mm": np.arange(4)}, np.zeros((4, 3), np.uint8))
+    write_ply(tmp_path / "surfaces" / "000019.ply", corner)
+    assert list_surfaces(tmp_path) == [9, 19]
+    first, second = (read_surface(tmp_path, number) for number in (9, 19))
+    assert np.array_equal(first.vertices_mm, corner.vertices_mm)
+    assert np.array_equal(first.faces, corner.faces)
+    assert first.deviation_mm.tolist() == [0, 1, 2, 3]
+    assert second.deviation_mm.size == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"ply\nend_header\n", b"ply\nformat ascii 1.0\nend_header\n", None])
+def test_a_surface_that_cannot_be_read_says_so(tmp_path: Path, content: bytes | None) -> None:
+    (tmp_path / "surfaces").mkdir()
+    if content is not None:
+        (tmp_path / "surfaces" / "000009.ply").write_bytes(content)
+    with pytest.raises(InputError, match="no such surface" if content is None else "is damaged"):
+        read_surface(tmp_path, 9)
+
+
+def test_a_surface_that_is_cut_short_says_so(tmp_path: Path) -> None:
+    (tmp_path / "surfaces").mkdir()
+    path = tmp_path / "surfaces" / "000009.ply"
+    write_ply(path, Mesh(np.eye(3), np.array([[0, 1, 2]])))
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(InputError, match="is damaged"):
+        read_surface(tmp_path, 9)

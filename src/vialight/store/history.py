@@ -1,4 +1,4 @@
-"""The history of a print: about once a second, what was known of it, to scrub back through.
+"""The history of a print: about once a second, what was known of it, to scrub back through; and its surfaces.
 
 One NumPy archive a moment, ``history/NNNNNN.npz``, numbered by the newest frame; each appears whole.  Images are kept
 as float16 (three digits, which is more than a screen shows) and packed quickly rather than tightly, since the print
@@ -23,6 +23,7 @@ from vialight.store.folders import staged_file
 _T = TypeVar("_T")
 
 HISTORY = "history"
+SURFACES = "surfaces"
 _PLANES = ("xy", "xz", "yz")
 _QUICK = 1
 """Of zlib's levels: a third of the time of the usual one, and 2 % more bytes."""
@@ -232,6 +233,76 @@ def _planes(held: Mapping[str, NDArray[Any]], kind: str) -> Planes | None:
     if f"{kind}_xy" not in held:
         return None
     return Planes(*(held[f"{kind}_{plane}"].astype(np.float64) for plane in _PLANES))
+
+
+class StoredSurface(NamedTuple):
+    """A surface of a print as it was measured then."""
+
+    vertices_mm: NDArray[np.float32]
+    """(vertex, xyz)."""
+    faces: NDArray[np.int32]
+    """(face, corner)."""
+    deviation_mm: NDArray[np.float32]
+    """(vertex,); empty where there was no reference."""
+
+
+def list_surfaces(run: str | Path) -> list[int]:
+    """Return the numbers of the surfaces that a run holds, ascending; none where there are none.
+
+    Examples
+    --------
+    >>> list_surfaces("no such run")
+    []
+    """
+    return sorted(int(path.stem) for path in (Path(run) / SURFACES).glob("*.ply") if path.stem.isdigit())
+
+
+def read_surface(run: str | Path, number: int) -> StoredSurface:
+    """Read ``surfaces/NNNNNN.ply`` as `vialight.store.write_ply` wrote it, with its scalar ``deviation_mm``.
+
+    Raises
+    ------
+    InputError
+        There is no such surface, or its file is damaged or another program's.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from vialight.mesh import Mesh
+    >>> from vialight.store import write_ply
+    >>> run = Path(tempfile.mkdtemp())
+    >>> (run / "surfaces").mkdir()
+    >>> triangle = Mesh([[0, 0, 0], [2, 0, 0], [0, 3, 0]], [[0, 1, 2]])
+    >>> write_ply(run / "surfaces" / "000199.ply", triangle, {"deviation_mm": [0.5, 0.0, -0.5]})
+    >>> read_surface(run, 199).deviation_mm.tolist()
+    [0.5, 0.0, -0.5]
+    """
+    path = Path(run) / SURFACES / f"{number:06d}.ply"
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(path, "there is no such surface", accepted="a number that `list_surfaces` gives") from error
+    try:
+        return _parse_ply(content)
+    except (ValueError, KeyError, IndexError) as error:
+        raise InputError(path, f"is damaged, or not written by vialight ({error})") from error
+
+
+def _parse_ply(content: bytes) -> StoredSurface:
+    head, _, body = content.partition(b"end_header\n")
+    lines = [line.split() for line in head.decode("ascii").splitlines()]
+    if ["format", "binary_little_endian", "1.0"] not in lines:
+        raise ValueError("no binary PLY")
+    counts = {line[1]: int(line[2]) for line in lines if line[:1] == ["element"]}
+    kinds = {"float": "<f4", "uchar": "u1"}
+    columns = [(line[2], kinds[line[1]]) for line in lines if line[:1] == ["property"] and line[1] != "list"]
+    vertices = np.frombuffer(body, np.dtype(columns), counts["vertex"])
+    triangle = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+    faces = np.frombuffer(body, triangle, counts["face"], vertices.nbytes)
+    points = np.stack([vertices[axis] for axis in "xyz"], axis=1)
+    is_measured = "deviation_mm" in (vertices.dtype.names or ())
+    deviation = vertices["deviation_mm"].copy() if is_measured else np.empty(0, np.float32)
+    return StoredSurface(points, faces["corners"].copy(), deviation)
 
 
 def _load(run: str | Path, number: int, read: Callable[[Mapping[str, NDArray[Any]]], _T]) -> _T:
