@@ -1,0 +1,83 @@
+"""Clocks that every process of a print reads alike."""
+
+from __future__ import annotations
+
+import mmap
+import struct
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+_STATE = struct.Struct("<Qddddd")
+"""Version (odd while it is written), time and wall time of the last change, rate, limit, unused."""
+
+
+@dataclass(frozen=True)
+class MonotonicClock:
+    """The system's monotonic clock: what hardware runs by."""
+
+    rate: float = 1.0
+
+    def now_s(self) -> float:
+        """Return the time."""
+        return time.monotonic()
+
+
+class SimulatedClock:
+    """A clock for simulated devices, that runs at any rate and stands still where the simulation cannot keep up.
+
+    One process, the one that simulates, makes the clock and moves its limit; others read it.
+
+    Parameters
+    ----------
+    path
+        File that all of them map.
+    rate
+        Seconds of this clock in a second of the wall clock; given by who makes it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> clock = SimulatedClock(Path(tempfile.mkdtemp()) / "clock", rate=1000.0)
+    >>> clock.allow_until(0.5)
+    >>> time.sleep(0.01)
+    >>> SimulatedClock(clock.path).now_s()
+    0.5
+    """
+
+    def __init__(self, path: Path, rate: float | None = None) -> None:
+        self.path = path
+        if rate is not None:
+            path.write_bytes(_STATE.pack(0, 0.0, time.monotonic(), rate, 0.0, 0.0))
+        with path.open("r+b") as file:
+            self._map = mmap.mmap(file.fileno(), 0)
+
+    def __reduce__(self) -> tuple[type[SimulatedClock], tuple[Path]]:
+        return SimulatedClock, (self.path,)
+
+    @property
+    def rate(self) -> float:
+        """Seconds of this clock in a second of the wall clock."""
+        return self._read()[2]
+
+    def now_s(self) -> float:
+        """Return the time: it never goes back, and never beyond the limit."""
+        base, wall, rate, limit = self._read()
+        return min(base + rate * (time.monotonic() - wall), limit)
+
+    def allow_until(self, limit_s: float) -> None:
+        """Let time pass up to a limit; where it has waited at the last one, it goes on from there."""
+        base, wall, rate, limit = self._read()
+        now = time.monotonic()
+        if base + rate * (now - wall) > limit:
+            base, wall = limit, now
+        version = _STATE.unpack_from(self._map)[0]
+        struct.pack_into("<Q", self._map, 0, version + 1)
+        _STATE.pack_into(self._map, 0, version + 1, base, wall, rate, limit_s, 0.0)
+        struct.pack_into("<Q", self._map, 0, version + 2)
+
+    def _read(self) -> tuple[float, float, float, float]:
+        while True:
+            version, base, wall, rate, limit, _ = _STATE.unpack_from(self._map)
+            if version % 2 == 0 and version == struct.unpack_from("<Q", self._map)[0]:
+                return base, wall, rate, limit

@@ -1,0 +1,16 @@
+"""A plan played through devices, recorded, watched and brought to its end: start reading at `session`.
+
+- `track`: where the stage is at any moment
+- `light`: leave for the projector, given only while everything is well
+- `recorder`: every frame on disk before it counts
+- `preflight`: what is checked before the first light
+- `session`: the order of it all
+"""
+
+from vialight.printing.light import LightKeeper
+from vialight.printing.log import EventLog
+from vialight.printing.recorder import Recorder
+from vialight.printing.session import PrintSettings, Watcher, print_plan
+from vialight.printing.track import StageTrack
+
+__all__ = ["EventLog", "LightKeeper", "PrintSettings", "Recorder", "StageTrack", "Watcher", "print_plan"]

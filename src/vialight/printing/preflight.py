@@ -1,0 +1,87 @@
+"""What is checked before the first light, so that no print fails in its middle for what was known at its start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vialight.config import Rig
+from vialight.devices import Devices
+from vialight.errors import InputError
+from vialight.printing.recorder import room_for
+
+_SATURATED = 0.98
+"""Share of the full level from which a pixel counts as saturated."""
+_SATURATED_SHARE = 1e-4
+"""Of the pixels: a few hot ones are no fault."""
+
+
+def check_rig(rig: Rig, image_shape: tuple[int, int]) -> None:
+    """Refuse a rig that lacks what imaging and projecting need, or whose axis lies outside the camera's image.
+
+    Raises
+    ------
+    InputError
+        Says what is missing.
+    """
+    camera = rig.need_camera()
+    rig.need_projector()
+    rig.imaging_optics()
+    rig.writing_optics()
+    if rig.resin.threshold is None:
+        raise InputError(
+            f"{rig.source} [resin]", "has no threshold, the density I_p at which it has gelled",
+            accepted="counts per mm", remedy="calibrate it, or give --threshold",
+        )  # fmt: skip
+    if not 0 <= camera.axis_column <= image_shape[1] - 1:
+        raise InputError(
+            f"{rig.source} [camera]", f"axis_column {camera.axis_column} lies outside the camera's image",
+            accepted=f"0 to {image_shape[1] - 1}", remedy="correct it, or the camera's binning",
+        )  # fmt: skip
+
+
+def check_exposure(image: NDArray[np.uint16], full_level: int) -> None:
+    """Refuse a camera that is saturated before anything scatters.
+
+    Raises
+    ------
+    InputError
+        Says how many pixels are.
+    """
+    share = float((image >= _SATURATED * full_level).mean())
+    if share > _SATURATED_SHARE:
+        raise InputError(
+            "camera", f"{100 * share:.2g} % of the pixels are saturated at {full_level} counts before the print",
+            accepted=f"less than {100 * _SATURATED_SHARE:g} %", remedy="shorten the exposure or lower gain or light",
+        )  # fmt: skip
+
+
+def check_room(run: Path, image: NDArray[np.uint16], frames: int) -> None:
+    """Refuse a disk that cannot hold the longest print.
+
+    Raises
+    ------
+    InputError
+        Says what is needed and what is free.
+    """
+    needed, free = room_for(run, image, frames)
+    if free < needed:
+        raise InputError(
+            run, f"has {free / 1e9:.2f} GB free, {frames} frames may take {needed / 1e9:.2f} GB",
+            remedy="free space, or choose another disk",
+        )  # fmt: skip
+
+
+def check_dark(devices: Devices) -> None:
+    """Refuse a projector that is not black.
+
+    Raises
+    ------
+    InputError
+        It shows a pattern.
+    """
+    pattern = devices.projector.shown().pattern
+    if pattern is not None:
+        raise InputError("projector", f"shows pattern {pattern} before the print", accepted="black")

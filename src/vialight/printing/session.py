@@ -1,0 +1,362 @@
+"""A print from its first check to its last frame, in order."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from vialight.arrays import TURN_RAD
+from vialight.config import Rig
+from vialight.devices import DeviceError, Devices
+from vialight.errors import InputError
+from vialight.links import CameraImage, ControlServer, LiveLink, Mailbox, PrintStatus, StopForecast
+from vialight.printing import preflight
+from vialight.printing.light import LightKeeper
+from vialight.printing.log import EventLog
+from vialight.printing.recorder import Recorder, room_for
+from vialight.printing.track import StageTrack
+from vialight.store import FrameWriter, open_frames
+
+StopMode = Literal["auto", "manual", "turns"]
+
+_TICK_S = 0.02
+_STATUS_S = 0.2
+_START_TIMEOUT_S = 30.0
+_READY_TIMEOUT_S = 180.0
+_SPEED_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True)
+class PrintSettings:
+    """How to print.
+
+    Parameters
+    ----------
+    stop
+        Who ends it: the forecast, the operator, or a number of turns.
+    turns
+        Of light, where that ends it.
+    longest_turns
+        Of light, after which it ends in any case.
+    after_turns
+        Of imaging once the light is off; their frames make the final shape.
+    frame_rate_hz
+        Of the camera.
+    give_up_s
+        For which a fault may hold the light before the print ends.
+    """
+
+    stop: StopMode = "auto"
+    turns: float | None = None
+    longest_turns: float = 40.0
+    after_turns: float = 1.0
+    frame_rate_hz: float = 10.0
+    give_up_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        if self.stop == "turns" and not (self.turns is not None and 0 < self.turns <= 1000):
+            raise InputError("--stop", f"turns is {self.turns}", accepted="a positive number", remedy="correct it")
+        if not (math.isfinite(self.frame_rate_hz) and 0.5 <= self.frame_rate_hz <= 200):
+            raise InputError("frame rate", f"is {self.frame_rate_hz} /s", accepted="0.5 to 200")
+
+
+class Watcher(Protocol):
+    """Sees the print while it forms; lives in processes of its own and reads what is recorded."""
+
+    def start(self) -> None:
+        """Begin to follow the recording, which exists by now; again after it has failed."""
+        ...
+
+    def is_ready(self) -> bool:
+        """Whether it follows."""
+        ...
+
+    def fault(self) -> str | None:
+        """Say what is wrong; None while it is well."""
+        ...
+
+    def has_ended(self) -> bool:
+        """Whether it must be started again."""
+        ...
+
+    def forecast(self) -> StopForecast | None:
+        """Return when the light should go off; None where that is not known yet."""
+        ...
+
+    def close(self) -> None:
+        """Finish with what is recorded, and end."""
+        ...
+
+
+def print_plan(
+    rig: Rig, devices: Devices, run: Path, mailboxes: Path, settings: PrintSettings, watcher: Watcher, *,
+    keep_going: Callable[[], bool] = lambda: True, on_status: Callable[[PrintStatus], None] = lambda status: None,
+) -> dict[str, Any]:  # fmt: skip
+    """Print, and record all of it.
+
+    Parameters
+    ----------
+    rig
+        As the frames are recorded, with the resin's threshold.
+    devices
+        Ready, and black.  They are not closed here.
+    run
+        The run's folder, which exists.
+    mailboxes
+        Folder for ``status`` and ``camera``.
+    settings
+        How.
+    watcher
+        Forecasts the stop; the light is held while it has a fault.
+    keep_going
+        Asked all the time: False ends the light at once, and then the print in its usual way.
+    on_status
+        Called a few times a second.
+
+    Returns
+    -------
+    dict
+        What is known of the print: lit time and turns, frames, who ended it.
+
+    Raises
+    ------
+    InputError
+        A check before the print fails.
+    DeviceError
+        A device fails before there is light.
+    """
+    session = _Session(rig, devices, run, mailboxes, settings, watcher, keep_going, on_status)
+    with ControlServer(session.obey) as control:
+        LiveLink(os.getpid(), str(mailboxes), control.address, control.key).publish(run)
+        try:
+            session.prepare()
+            session.take_background()
+            session.expose()
+            session.look_once_more()
+        except BaseException as error:
+            session.fail(error)
+            raise
+        finally:
+            session.end()
+            LiveLink.withdraw(run)
+    return session.record()
+
+
+class _Session:
+    """The state of one print; its methods are the steps of `print_plan`."""
+
+    def __init__(
+        self, rig: Rig, devices: Devices, run: Path, mailboxes: Path, settings: PrintSettings, watcher: Watcher,
+        keep_going: Callable[[], bool], on_status: Callable[[PrintStatus], None],
+    ) -> None:  # fmt: skip
+        self._rig, self._devices, self._run, self._settings = rig, devices, run, settings
+        self._watcher, self._keep_going, self._on_status = watcher, keep_going, on_status
+        self._speed = float(np.radians(rig.stage.speed_deg_s))
+        self._log = EventLog(run / "log.jsonl", devices.clock)
+        self._track = StageTrack()
+        self._camera_box = Mailbox(mailboxes / "camera", 2**16 + 2 * int(np.prod(devices.camera.image_shape)))
+        self._status_box = Mailbox(mailboxes / "status", 2**16)
+        self._recorder = Recorder(
+            devices.camera, devices.clock, settings.frame_rate_hz, self._track.angle_at, self._log, self._show_frame
+        )
+        checks = {"camera": self._recorder.camera_fault, "disk": self._recorder.disk_fault, "live": watcher.fault}
+        self._light = LightKeeper(devices, self._track, rig.stage.direction, self._speed, checks, self._log)
+        self._image: CameraImage | None = None
+        self._mode: StopMode = settings.stop
+        self._extra_turns = 0.0
+        self._forecast: StopForecast | None = None
+        self._ended_by = ""
+        self._state = "preflight"
+        self._status_at = 0.0
+
+    @property
+    def _turn_s(self) -> float:
+        return TURN_RAD / self._speed
+
+    def prepare(self) -> None:
+        """Check everything, and bring the stage up to speed."""
+        self._log.note("start", "checking devices", settings=asdict(self._settings))
+        preflight.check_rig(self._rig, self._devices.camera.image_shape)
+        preflight.check_dark(self._devices)
+        self._devices.stage.position(timeout_s=1.0)
+        self._recorder.start()
+        self._devices.camera.start(self._settings.frame_rate_hz)
+        self._light.start()
+        self._devices.stage.start(self._speed)
+        self._wait(lambda: self._image is not None, "camera", "has sent no frame")
+        assert self._image is not None
+        preflight.check_exposure(self._image.counts, self._devices.camera.full_level)
+        turns = self._settings.longest_turns + self._settings.after_turns + 2
+        frames = int(turns * self._turn_s * self._settings.frame_rate_hz)
+        preflight.check_room(self._run, self._image.counts, frames)
+        self._wait(self._is_up_to_speed, "stage", "does not reach its speed")
+
+    def take_background(self) -> None:
+        """Record a turn in the dark, and begin the recording proper with its mean."""
+        self._enter("background", "recording the background")
+        path = self._run / "background.h5"
+        shape = self._devices.camera.image_shape
+        self._recorder.write_to(FrameWriter(path, shape))
+        # A frame more, so that its ends meet.
+        self._pass_time(self._turn_s + 1 / self._settings.frame_rate_hz)
+        self._recorder.write_to(None)
+        with open_frames(path) as frames:
+            dark = frames.read(slice(None))
+        settings = {"frame_rate_hz": self._settings.frame_rate_hz}
+        self._recorder.write_to(FrameWriter(self._run / "frames.h5", shape, dark=dark, settings=settings))
+        self._wait(lambda: self._recorder.written > 0, "camera", "has sent no frame")
+        self._watcher.start()
+        self._wait(
+            lambda: self._watcher.is_ready() or bool(self._watcher.fault()), "live", "is not ready", _READY_TIMEOUT_S
+        )
+
+    def expose(self) -> None:
+        """Let light through until it is enough."""
+        self._enter("printing", "light on")
+        self._light.light_on()
+        held_since: float | None = None
+        while not self._light.is_over:
+            self._tick()
+            self._light.stop_at(self._lit_s_to_stop())
+            now = time.monotonic()
+            held_since = None if self._light.fault is None else held_since or now
+            if held_since is not None:
+                self._state = "dark"
+                self._watcher_again()
+                if now - held_since > self._settings.give_up_s / self._devices.clock.rate:
+                    self._end_light("fault", f"given up: {self._light.fault}")
+            else:
+                self._state = "printing"
+        self._ended_by = self._ended_by or self._mode
+        self._log.note("stop", f"light off after {self._light.lit_s:.1f} s ({self._ended_by})", by=self._ended_by,
+                       forecast=None if self._forecast is None else asdict(self._forecast))  # fmt: skip
+
+    def look_once_more(self) -> None:
+        """Image on in the dark: these frames make the final shape."""
+        self._enter("after", "light off; imaging on")
+        if self._light.fault is None:
+            self._pass_time(self._settings.after_turns * self._turn_s + 2 / self._settings.frame_rate_hz)
+
+    def fail(self, error: BaseException) -> None:
+        """Note why the print has ended too early."""
+        self._light.light_off()
+        self._state, self._ended_by = "failed", type(error).__name__
+        self._log.note("fault", f"the print has failed: {error or type(error).__name__}")
+
+    def end(self) -> None:
+        """Light off first; then everything else comes to rest, and what is recorded is kept."""
+        self._light.close()
+        for act in (self._recorder.close, self._devices.stage.stop, self._watcher.close):
+            try:
+                act()
+            except (DeviceError, InputError, OSError) as error:
+                self._log.note("fault", str(error))
+        if self._state != "failed":
+            self._enter("finishing", "the print is over")
+        self._publish()
+
+    def record(self) -> dict[str, Any]:
+        """Return what is known of the print."""
+        return {
+            "ended_by": self._ended_by,
+            "lit_s": round(self._light.lit_s, 3),
+            "lit_turns": round(self._light.lit_rad / TURN_RAD, 4),
+            "frames": self._recorder.written,
+            "frames_missed": self._recorder.missed,
+            "fault": self._light.fault,
+            "forecast": None if self._forecast is None else asdict(self._forecast),
+        }
+
+    def obey(self, order: Mapping[str, Any]) -> dict[str, Any]:
+        """Carry out an order from the page or another program."""
+        do, by = order.get("do"), str(order.get("by", "unknown"))[:80]
+        self._log.note("order", f"{do} ({by})", order=dict(order))
+        if do == "stop":
+            self._end_light(by, f"stopped ({by})")
+        elif do == "extend":
+            turns = order.get("turns", 1.0)
+            if not (isinstance(turns, int | float) and -100 <= turns <= 100):
+                raise InputError("extend", f"turns is {turns!r}", accepted="a number of turns")
+            self._extra_turns += float(turns)
+        elif do == "mode" and order.get("mode") in ("auto", "manual"):
+            self._mode = order["mode"]
+        else:
+            raise InputError("order", f"is {dict(order)!r}"[:200], accepted="stop, extend, mode auto or manual")
+        return {"mode": self._mode, "extra_turns": self._extra_turns, "is_over": self._light.is_over}
+
+    def _lit_s_to_stop(self) -> float:
+        """Return after how much light the print ends, as far as known."""
+        longest = self._settings.longest_turns * self._turn_s
+        extra = self._extra_turns * self._turn_s
+        self._forecast = self._watcher.forecast() or self._forecast
+        if self._mode == "auto" and self._forecast is not None:
+            return min(self._forecast.stop_s + extra, longest)
+        if self._mode == "turns" and self._settings.turns is not None:
+            # Turns are counted as angle: a stage that is slow gets its light all the same.
+            left = (self._settings.turns + self._extra_turns) * TURN_RAD - self._light.lit_rad
+            return min(self._light.lit_s + left / self._speed, longest)
+        return longest
+
+    def _end_light(self, by: str, message: str) -> None:
+        self._light.light_off()
+        self._ended_by = self._ended_by or by
+        self._log.note("light", message)
+
+    def _watcher_again(self) -> None:
+        """Start the watcher anew where it has died; it catches up from the recording."""
+        if self._watcher.fault() and self._watcher.has_ended():
+            self._log.note("live", "starting the live measurement again")
+            self._watcher.start()
+
+    def _is_up_to_speed(self) -> bool:
+        return abs(abs(self._track.speed_rad_s()) / self._speed - 1) < _SPEED_TOLERANCE
+
+    def _show_frame(self, image: CameraImage) -> None:
+        self._image = image
+        self._camera_box.put(image)
+
+    def _enter(self, state: str, message: str) -> None:
+        self._state = state
+        self._log.note("state", message, state=state)
+        self._publish()
+
+    def _tick(self) -> None:
+        time.sleep(_TICK_S)
+        if not self._keep_going() and not self._light.is_over:
+            self._end_light("operator", "stopped (operator)")
+        if time.monotonic() - self._status_at > _STATUS_S:
+            self._publish()
+
+    def _pass_time(self, duration_s: float) -> None:
+        end = self._devices.clock.now_s() + duration_s
+        self._wait(lambda: self._devices.clock.now_s() >= end, "print", "time does not pass", 10 * duration_s + 10)
+
+    def _wait(self, until: Callable[[], bool], device: str, fault: str, timeout_s: float = _START_TIMEOUT_S) -> None:
+        deadline = time.monotonic() + timeout_s
+        while not until():
+            self._tick()
+            if time.monotonic() > deadline:
+                raise DeviceError(device, f"{fault} within {timeout_s:.0f} s")
+
+    def _publish(self) -> None:
+        self._status_at = time.monotonic()
+        now, lit_s = self._devices.clock.now_s(), self._light.lit_s
+        needed, free = room_for(self._run, self._image.counts, 1) if self._image is not None else (1, 0)
+        to_stop = self._lit_s_to_stop() if self._state in ("printing", "dark") else None
+        status = PrintStatus(
+            state=self._state, message=self._log.last, time_s=now, lit_s=lit_s,
+            turn=self._light.lit_rad / TURN_RAD, remaining_s=None if to_stop is None else max(0.0, to_stop - lit_s),
+            mode=self._mode, frames=self._recorder.written, missed=self._recorder.missed, disk_free_bytes=free,
+            disk_left_s=free / needed / self._settings.frame_rate_hz, pattern=self._light.pattern,
+            devices={"camera": "ok", "stage": "ok", "projector": "ok", "disk": "ok", "live": "ok"}
+            | self._light.devices_health,
+        )  # fmt: skip
+        self._status_box.put(status)
+        self._on_status(status)

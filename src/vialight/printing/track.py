@@ -1,0 +1,67 @@
+"""Where the stage is at any moment, from positions that it has told."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+import numpy as np
+
+from vialight.devices import StagePosition
+
+_KEPT = 400
+_SPEED_OVER_S = 0.12
+"""Speed is that of the positions over this time: short enough to see a stall, long enough for an encoder's steps."""
+
+
+class StageTrack:
+    """Positions of the stage, one thread adding, others asking.
+
+    Examples
+    --------
+    >>> track = StageTrack()
+    >>> for k in range(5):
+    ...     track.add(StagePosition(0.1 * k, 0.1 * k))
+    >>> round(track.angle_at(0.25), 3), round(track.angle_at(0.6), 3), round(track.speed_rad_s(), 3)
+    (0.25, 0.6, 1.0)
+    """
+
+    def __init__(self) -> None:
+        self._positions: deque[StagePosition] = deque(maxlen=_KEPT)
+        self._lock = threading.Lock()
+
+    def add(self, position: StagePosition) -> None:
+        """Take a position; one that is not newer than the last is left out."""
+        with self._lock:
+            if not self._positions or position.time_s > self._positions[-1].time_s:
+                self._positions.append(position)
+
+    def newest(self) -> StagePosition | None:
+        """Return the last position; None before the first."""
+        with self._lock:
+            return self._positions[-1] if self._positions else None
+
+    def angle_at(self, time_s: float) -> float:
+        """Return the angle at a time: between positions by a straight line, beyond them at the last speed; rad."""
+        with self._lock:
+            times, angles = self._arrays()
+        if len(times) < 2 or times[0] <= time_s <= times[-1]:
+            return float(np.interp(time_s, times, angles)) if len(times) else float("nan")
+        if time_s < times[0]:
+            return float(angles[0] + (angles[1] - angles[0]) / (times[1] - times[0]) * (time_s - times[0]))
+        return float(angles[-1] + self.speed_rad_s() * (time_s - times[-1]))
+
+    def speed_rad_s(self) -> float:
+        """Return the speed over the last tenth of a second; NaN before there are two positions."""
+        with self._lock:
+            times, angles = self._arrays()
+        if len(times) < 2:
+            return float("nan")
+        first = min(int(np.searchsorted(times, times[-1] - _SPEED_OVER_S)), len(times) - 2)
+        return float((angles[-1] - angles[first]) / (times[-1] - times[first]))
+
+    def _arrays(
+        self,
+    ) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], np.ndarray[tuple[int], np.dtype[np.float64]]]:
+        positions = np.array(self._positions, dtype=np.float64).reshape(-1, 2)
+        return positions[:, 1], positions[:, 0]
