@@ -14,14 +14,14 @@ import numpy as np
 from vialight.arrays import Float32Array, FloatArray, Grid
 from vialight.config import Camera, Optics, Rig
 from vialight.errors import InputError
-from vialight.twin.marching import march, march_bent
+from vialight.twin.marching import MARGIN, march
 from vialight.twin.poses import Pose
 from vialight.twin.rays import trace
 
 BINNINGS = (1, 2, 4, 8)
 
 _NEGLIGIBLE = 1e-6
-"""Share of the largest density below which a voxel is left out of the region that rays are followed through."""
+"""Share of the largest density below which a voxel may be left out of what rays are followed through."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,29 @@ class Imager:
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of a frame."""
         return self.rays.shape[1], self.rays.shape[2]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What scatters, made ready to be looked at any number of times.
+
+    Parameters
+    ----------
+    density, emission
+        (y, x, z) float32, the box that is not empty and `MARGIN` voxels round it: what dims, and what shines.
+    relative_rise
+        (y, x, z) float32, by which share the index is higher than that of liquid resin; empty where it is not.
+    placed
+        Edge of a voxel, and y, x, z of the first voxel's centre, mm.
+    extinction_mm2
+        See `frames_of`.
+    """
+
+    density: Float32Array
+    emission: Float32Array
+    relative_rise: Float32Array
+    placed: FloatArray
+    extinction_mm2: float
 
 
 def image_shape(camera: Camera) -> tuple[int, int]:
@@ -169,24 +192,68 @@ def frames_of(
     >>> frames[0, 60, 88].round(-1)
     np.float32(2000.0)
     """
+    scene = scene_of(
+        density, grid, resin_index=imager.optics.resin_index, extinction_mm2=extinction_mm2, index_rise=index_rise
+    )
+    return look_at(scene, imager, poses, step_mm=step_mm)
+
+
+def scene_of(
+    density: Float32Array,
+    grid: Grid,
+    *,
+    resin_index: float = 1.0,
+    extinction_mm2: float = 0.0,
+    index_rise: Float32Array | None = None,
+) -> Scene | None:
+    """Make a density ready to be looked at; None where nothing scatters.
+
+    Parameters
+    ----------
+    resin_index
+        Of liquid resin; needed where `index_rise` is given.
+    density, grid, extinction_mm2, index_rise
+        See `frames_of`.
+
+    Raises
+    ------
+    InputError
+        Both extinction and an index that rises are asked for.
+    """
     if index_rise is not None and extinction_mm2 > 0:
         raise InputError(
             "extinction_mm2", f"is {extinction_mm2} while rays bend", accepted="0", remedy="choose one of the two"
         )
-    emission = _lit_from_above(density, grid.voxel_mm, extinction_mm2) if extinction_mm2 > 0 else density
-    stood = np.array([pose.seen_from(0.0) for pose in poses])
+    box = _occupied(density if index_rise is None else density + index_rise)
+    if box is None:
+        return None
+    first = [
+        grid.origin_mm[axis] + (part.start - MARGIN) * grid.voxel_mm for axis, part in zip((1, 2, 0), box, strict=True)
+    ]
+    seen = np.pad(density[box], MARGIN)
+    emission = _lit_from_above(seen, grid.voxel_mm, extinction_mm2) if extinction_mm2 > 0 else seen
+    rise = np.empty((0, 0, 0), np.float32)
+    if index_rise is not None:
+        rise = np.pad(index_rise[box] / np.float32(resin_index), MARGIN)
+    return Scene(seen, emission, rise, np.array([grid.voxel_mm, *first]), extinction_mm2)
+
+
+def look_at(
+    scene: Scene | None, imager: Imager, poses: Sequence[Pose], *, step_mm: float | None = None
+) -> Float32Array:
+    """Integrate a scene along every pixel's ray, without noise; see `frames_of`."""
     frames = np.zeros((len(poses), *imager.shape), np.float32)
-    bounds = _occupied(density if index_rise is None else density + index_rise)
-    if bounds is not None and len(poses):
-        step = (step_mm or grid.voxel_mm) / grid.voxel_mm
-        placed = np.array([grid.voxel_mm, *(grid.origin_mm[axis] for axis in (1, 2, 0))])
-        for rays in imager.rays:
-            if index_rise is None:
-                march(density, emission, placed, bounds, rays, stood, step, extinction_mm2, frames)
-            else:
-                relative = index_rise / np.float32(imager.optics.resin_index)
-                march_bent(emission, relative, placed, bounds, rays, stood, step, frames)
-        frames *= np.float32(imager.binning**2 / len(imager.rays))
+    if scene is None or not len(poses):
+        return frames
+    voxel_mm = float(scene.placed[0])
+    stood = np.array([pose.seen_from(0.0) for pose in poses])
+    step = 1.0 if step_mm is None else step_mm / voxel_mm
+    for rays in imager.rays:
+        march(
+            scene.density, scene.emission, scene.relative_rise, scene.placed, rays, stood, step,
+            scene.extinction_mm2 * voxel_mm, frames,
+        )  # fmt: skip
+    frames *= np.float32(imager.binning**2 / len(imager.rays))
     return frames
 
 
@@ -196,13 +263,10 @@ def _lit_from_above(density: Float32Array, voxel_mm: float, extinction_mm2: floa
     return np.asarray(density * np.exp(-extinction_mm2 * voxel_mm * above), dtype=np.float32)
 
 
-def _occupied(density: Float32Array) -> FloatArray | None:
-    """Return first and last index along y, x, z of what scatters, one voxel wider; None where nothing does."""
+def _occupied(density: Float32Array) -> tuple[slice, slice, slice] | None:
+    """Return the box along y, x, z that holds all that scatters; None where nothing does."""
     full = density > _NEGLIGIBLE * max(float(density.max()), 1e-30)
     if not full.any():
         return None
-    bounds = []
-    for axis in range(3):
-        where = np.flatnonzero(full.any(axis=tuple(other for other in range(3) if other != axis)))
-        bounds += [where[0] - 1.0, where[-1] + 1.0]
-    return np.array(bounds, dtype=np.float64)
+    y, x, z = (np.flatnonzero(full.any(axis=tuple(other for other in range(3) if other != axis))) for axis in range(3))
+    return slice(y[0], y[-1] + 1), slice(x[0], x[-1] + 1), slice(z[0], z[-1] + 1)

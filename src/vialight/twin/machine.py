@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,69 +14,17 @@ from vialight.arrays import Float32Array, Grid
 from vialight.config import Rig
 from vialight.errors import InputError
 from vialight.mesh import Mesh
-from vialight.twin.camera import frames_of, imager_for
+from vialight.twin.camera import Scene, frames_of, imager_for, look_at, scene_of
 from vialight.twin.chemistry import Cure, cure, fresh
 from vialight.twin.exposure import add_dose, exposer_for
-from vialight.twin.faults import Faults
 from vialight.twin.poses import Pose
 from vialight.twin.presets import ResinModel
 from vialight.twin.rays import points_on_disk
-from vialight.twin.sensor import Sensor, StrayLight
+from vialight.twin.settings import TwinSettings
 from vialight.twin.truth import gel_times, gelled_surface
 
 _LARGEST_TURN_RAD = float(np.radians(1.0))
 """An object that turns further under one image is exposed in several poses."""
-
-
-@dataclass(frozen=True)
-class TwinSettings:
-    """How closely to look, and what to add.
-
-    Parameters
-    ----------
-    chemistry_step_s
-        Between updates of the cure, and so of what the camera sees.
-    blur_mm
-        Standard deviation of the projector's point spread, in air, in the plane of the axis; assumed.
-    points_a_voxel
-        (z, y, x) points at which the dose is evaluated.
-    binning, rays_a_side, image_shape
-        Of the camera, see `vialight.twin.camera.imager_for`.
-    exposure_s, poses_a_frame
-        Of the camera; 1 pose freezes the motion, more blur it.
-    pupil_radius_mm, pupil_points, focus_mm
-        Of the camera's aperture; 1 point is a pinhole.
-    projector_pupil_radius_mm, projector_pupil_points
-        Of the projector's aperture, focused on the axis in air.
-    extinction_mm2
-        See `vialight.twin.camera.frames_of`.
-    index_rise
-        By which the resin's index would be higher at full conversion: bends the camera's rays; 0 leaves them straight.
-    stray, sensor, faults
-        What is added to the ideal.
-    seed
-        Of all that is random.
-    """
-
-    chemistry_step_s: float = 1.0
-    blur_mm: float = 0.05
-    points_a_voxel: tuple[int, int, int] = (1, 1, 1)
-    binning: int = 1
-    rays_a_side: int = 1
-    image_shape: tuple[int, int] | None = None
-    exposure_s: float = 0.02
-    poses_a_frame: int = 1
-    pupil_radius_mm: float = 0.0
-    pupil_points: int = 1
-    focus_mm: float = 0.0
-    projector_pupil_radius_mm: float = 0.0
-    projector_pupil_points: int = 1
-    extinction_mm2: float = 0.0
-    index_rise: float = 0.0
-    stray: StrayLight = StrayLight()  # noqa: RUF009  frozen
-    sensor: Sensor = Sensor()  # noqa: RUF009  frozen
-    faults: Faults = Faults()  # noqa: RUF009  frozen
-    seed: int = 0
 
 
 class Frame(NamedTuple):
@@ -158,7 +105,8 @@ class Twin:
         self.gel_time_s: Float32Array = np.full_like(self.state.conversion, np.nan)
         self._cured_until_s = 0.0
         self._new_dose = np.zeros_like(self.state.conversion)
-        self._density: Float32Array | None = None
+        self._seen_until_s = -1.0
+        self._seen: Scene | None = None
         self._image: NDArray[np.uint8] | None = None
         self._corner = (0, 0)
         self._lit_since_s = 0.0
@@ -215,14 +163,9 @@ class Twin:
         if not of_the_empty_vial:
             if self._rng.uniform() < faults.dropped_share:
                 return None
-            density = self.density()
             offsets = (np.arange(settings.poses_a_frame) + 0.5) / settings.poses_a_frame - 0.5
             poses = [faults.pose(self.true_angle_rad(self.time_s + share * settings.exposure_s)) for share in offsets]
-            rise = np.float32(settings.index_rise) * self.state.conversion if settings.index_rise else None
-            seen = frames_of(
-                density, self._shrunk_grid(), self._imager, poses, extinction_mm2=settings.extinction_mm2,
-                index_rise=rise,
-            )  # fmt: skip
+            seen = look_at(self._scene(), self._imager, poses)
             expected = (seen.mean(axis=0) + self._stray) * (1 + faults.led_drift_per_s * self.time_s)
         counts = settings.sensor.photograph(np.maximum(expected, 0), self._rng, binning=settings.binning)
         recorded_s = self.time_s + (self._rng.normal(0, faults.timestamp_jitter_s) if faults.timestamp_jitter_s else 0)
@@ -252,10 +195,8 @@ class Twin:
 
     def density(self) -> Float32Array:
         """Return what scatters now, (y, x, z) counts per mm."""
-        if self._density is None:
-            density = self.resin.scattering.density(self.state.conversion)
-            self._density = density if self._specks is None else density + self._specks
-        return self._density
+        density = self.resin.scattering.density(self.state.conversion)
+        return density if self._specks is None else density + self._specks
 
     def surface(self) -> Mesh:
         """Return the gelled surface; InputError where nothing has gelled."""
@@ -279,7 +220,21 @@ class Twin:
     def _longest_pose_s(self) -> float:
         return float(_LARGEST_TURN_RAD / np.radians(self.rig.stage.speed_deg_s))
 
+    def _scene(self) -> Scene | None:
+        """Return what the camera looks at, which changes with the cure only."""
+        if self._seen_until_s != self._cured_until_s:
+            settings = self.settings
+            self._seen = scene_of(
+                self.density(), self._shrunk_grid(), resin_index=self._imager.optics.resin_index,
+                extinction_mm2=settings.extinction_mm2,
+                index_rise=np.float32(settings.index_rise) * self.state.conversion if settings.index_rise else None,
+            )  # fmt: skip
+            self._seen_until_s = self._cured_until_s
+        return self._seen
+
     def _shrinkage(self) -> float:
+        if self.resin.chemistry.linear_shrinkage == 0:
+            return 0.0
         gelled = self.state.conversion[np.isfinite(self.gel_time_s)]
         return self.resin.chemistry.linear_shrinkage * float(gelled.mean()) if gelled.size else 0.0
 
@@ -325,4 +280,3 @@ class Twin:
         self.dose_mj_per_cm2 += self._new_dose
         self._new_dose[...] = 0
         self._cured_until_s = self.time_s
-        self._density = None
