@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from typing import Literal
 
@@ -89,6 +90,32 @@ def test_the_state_does_not_depend_on_how_time_is_cut() -> None:
             twin.advance(step)
     np.testing.assert_allclose(whole.dose_mj_per_cm2, cut.dose_mj_per_cm2, rtol=0.02)
     np.testing.assert_allclose(whole.state.oxygen, cut.state.oxygen, rtol=0.01)
+
+
+def test_a_copy_goes_on_as_the_original_would_and_leaves_it_alone() -> None:
+    """What a sweep over stop times branches from: in mid-chemistry, with light on its way and noise to come."""
+    image, grid = np.full((200, 400), 200, np.uint8), Grid((4, 16, 16), 0.4)
+    settings = TwinSettings(binning=8, faults=Faults(dropped_share=0.2))
+    twin, alone = (Twin(BRIGHT, RESIN, grid, settings) for _ in range(2))
+    for each in (twin, alone):
+        each.show(image, (284, 312))
+        each.advance(3.3)
+    branch, dark = copy.deepcopy(twin), copy.deepcopy(twin)
+    frames = []
+    for each in (branch, twin):
+        each.show(image, (284, 312))
+        each.advance(4.0)
+        frames.append([each.frame() for _ in range(8)])
+    np.testing.assert_array_equal(branch.dose_mj_per_cm2, twin.dose_mj_per_cm2)
+    np.testing.assert_array_equal(branch.state.conversion, twin.state.conversion)
+    assert [frame is None for frame in frames[0]] == [frame is None for frame in frames[1]]
+    for one, other in zip(*frames, strict=True):
+        assert one is None or (other is not None and np.array_equal(one.counts, other.counts))
+    for each in (dark, alone):
+        each.show(None)
+        each.advance(4.0)
+    np.testing.assert_array_equal(dark.dose_mj_per_cm2, alone.dose_mj_per_cm2)
+    assert dark.dose_mj_per_cm2.sum() < 0.6 * twin.dose_mj_per_cm2.sum()
 
 
 def test_the_light_goes_off_and_the_vial_turns_on() -> None:

@@ -39,7 +39,7 @@ class Frame(NamedTuple):
 
 
 class Twin:
-    """A printer with resin in it, at a point in time.
+    """A printer with resin in it, at a point in time; `copy.deepcopy` branches it.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class Twin:
         Parameters
         ----------
         image
-            (row, column) levels; None turns the light off.
+            (row, column) levels, not to be changed afterwards; None turns the light off.
         corner
             Row and column of its first pixel in the projector's image.
         """
