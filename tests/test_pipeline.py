@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from raytraced_camera import RaytracedCamera, photograph, soft
+from soft_parts import frames_of_part
 from vialight import pipeline
-from vialight.arrays import FloatArray, Grid, Volume
+from vialight.arrays import Float32Array, FloatArray, Grid, Volume
 from vialight.config import Camera, Resin, Rig, Stage, Vial, load_rig
 from vialight.errors import InputError
 from vialight.metrology.distance import sample_surface
 from vialight.pipeline import Settings, grid_for, open_scan, reconstruct
 from vialight.store import FrameFile, open_frames, write_frames
 from vialight.surface import isosurface
+from vialight.twin.sensor import Sensor
 
 CENTRE, RADIUS, HALF_HEIGHT = (2.5, -1.5), 2.4, 2.5
 ROWS, COLUMNS, ANGLES = 44, 176, 120
@@ -38,22 +39,19 @@ def cylinder(x: Any, y: Any, z: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def traced() -> tuple[FloatArray, FloatArray]:
+def traced() -> tuple[Float32Array, FloatArray]:
     """Expected counts and angles of the cylinder."""
-    optics = RIG.imaging_optics()
-    assert optics is not None
     angles = np.radians(10.0) + np.arange(ANGLES, dtype=np.float64) * (2 * np.pi / ANGLES)
-    camera = RaytracedCamera(optics, RIG.need_camera(), ROWS, COLUMNS)
-    return camera.frames(soft(cylinder), angles, reach_mm=5.7), angles
+    return frames_of_part(cylinder, Grid((124, 228, 228), 0.05), RIG, (ROWS, COLUMNS), angles), angles
 
 
 @pytest.fixture(scope="module")
-def recording(traced: tuple[FloatArray, FloatArray], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(traced: tuple[Float32Array, FloatArray], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A noisy recording of the cylinder, over stray light."""
     path = tmp_path_factory.mktemp("recording") / "frames.h5"
     counts, angles = traced
     dark = STRAY_LIGHT.astype(np.uint16)
-    write_frames(path, photograph(counts, np.random.default_rng(0), offset=STRAY_LIGHT), angles, dark=dark)
+    write_frames(path, Sensor().photograph(counts + STRAY_LIGHT, np.random.default_rng(0)), angles, dark=dark)
     return path
 
 
@@ -89,7 +87,7 @@ def test_a_cured_cylinder_off_axis_has_its_density_and_its_surface(recording: Pa
 
 
 def test_every_voxel_of_a_noiseless_interior_is_within_1_percent(
-    traced: tuple[FloatArray, FloatArray], tmp_path: Path
+    traced: tuple[Float32Array, FloatArray], tmp_path: Path
 ) -> None:
     write_frames(tmp_path / "f.h5", np.rint(16 * traced[0]).astype(np.uint16), traced[1])
     np.testing.assert_allclose(interior(volume_of(tmp_path / "f.h5")), 3200, rtol=0.01)
@@ -102,7 +100,7 @@ def test_the_index_of_another_resin_shows(recording: Path) -> None:
 
 
 def test_a_stage_that_counts_clockwise_gives_the_same_volume(
-    traced: tuple[FloatArray, FloatArray], recording: Path, tmp_path: Path
+    traced: tuple[Float32Array, FloatArray], recording: Path, tmp_path: Path
 ) -> None:
     with open_frames(recording) as frames:
         write_frames(tmp_path / "f.h5", frames.read(slice(None)), -traced[1], dark=STRAY_LIGHT.astype(np.uint16))
@@ -112,7 +110,7 @@ def test_a_stage_that_counts_clockwise_gives_the_same_volume(
     np.testing.assert_allclose(volume.density, volume_of(recording, grid=grid).density, rtol=0, atol=1e-2)
 
 
-def test_a_turn_is_chosen_from_many(traced: tuple[FloatArray, FloatArray], tmp_path: Path) -> None:
+def test_a_turn_is_chosen_from_many(traced: tuple[Float32Array, FloatArray], tmp_path: Path) -> None:
     counts, angles = traced
     path = tmp_path / "f.h5"
     series = [np.zeros_like(counts), counts, counts / 2, counts[:40]]

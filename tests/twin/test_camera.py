@@ -8,8 +8,8 @@ from pathlib import Path
 import igl
 import numpy as np
 import pytest
-from scipy.special import expit
 
+from soft_parts import softened
 from vialight.arrays import Float32Array, FloatArray, Grid
 from vialight.config import Camera, Resin, Rig, Vial, load_rig
 from vialight.errors import InputError
@@ -19,8 +19,6 @@ from vialight.twin.camera import frames_of, image_shape, imager_for
 from vialight.twin.poses import Pose
 from vialight.twin.rays import points_on_disk
 from vialight.twin.sensor import Sensor, StrayLight
-
-CASES = Path(__file__).parents[3] / "shared" / "cases"
 
 
 def bare(distance_mm: float = np.inf) -> Rig:
@@ -43,11 +41,11 @@ def ball(grid: Grid, centre: tuple[float, float, float], width: float) -> Float3
     return np.asarray(density, dtype=np.float32)
 
 
-@pytest.mark.skipif(not CASES.is_dir(), reason="the shared cases are not here")
 @pytest.mark.parametrize("case", ["part", "cylinder"])
-def test_frames_of_the_shared_cases_are_met_within_their_noise(case: str) -> None:
-    rig, mesh = load_rig(CASES / case / "rig.toml"), load_mesh(CASES / case / "truth.stl")
-    with open_frames(CASES / case / "frames.h5") as recording:
+def test_frames_of_the_shared_cases_are_met_within_their_noise(shared_cases: Path, case: str) -> None:
+    folder = shared_cases / case
+    rig, mesh = load_rig(folder / "rig.toml"), load_mesh(folder / "truth.stl")
+    with open_frames(folder / "frames.h5") as recording:
         rows, columns = recording.shape[1:]
         band = slice(50, 54)
         chosen = np.arange(3, 180, 11)
@@ -73,7 +71,7 @@ def test_frames_of_the_shared_cases_are_met_within_their_noise(case: str) -> Non
 
 
 def soft_part(mesh: Mesh, grid: Grid) -> np.ndarray:
-    """Density (y, x, z) of the shared cases: half of 200 on the surface, soft over 0.2 mm."""
+    """Density (y, x, z) of the shared cases."""
 
     def distance(points: FloatArray) -> FloatArray:
         kind = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
@@ -86,7 +84,7 @@ def soft_part(mesh: Mesh, grid: Grid) -> np.ndarray:
     rough = np.repeat(np.repeat(np.repeat(coarse, 4, 0), 4, 1), 4, 2)[: x.shape[0], : x.shape[1], : x.shape[2]]
     near = np.abs(rough) < 0.9
     rough[near] = distance(points[near])
-    return (200 * expit(-4 * rough / 0.2)).astype(np.float32)
+    return np.asarray(softened(rough), dtype=np.float32)
 
 
 def test_a_gaussian_ball_is_seen_as_its_integral_where_it_is() -> None:
@@ -197,7 +195,7 @@ def test_a_pixel_saturates_where_its_converter_does() -> None:
 
 
 def test_stray_light_peaks_at_the_vials_edges() -> None:
-    imager = imager_for(load_rig(CASES / "part" / "rig.toml")) if CASES.is_dir() else imager_for(bare(190.0))
+    imager = imager_for(bare(190.0))
     image = StrayLight().image(imager)
     camera = imager.camera
     offset = np.abs(np.argmax(image[0, : image.shape[1] // 2]) - camera.axis_column) * camera.pixel_mm
