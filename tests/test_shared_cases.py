@@ -113,8 +113,8 @@ def test_accurate_is_truer_on_a_tall_part(tmp_path: Path) -> None:
     angles = np.arange(180, dtype=np.float64) * (2 * np.pi / 180)
     # The part looks the same after every quarter of a turn.
     quarter = frames_of_part(tall_part, Grid((380, 244, 244), 0.05), rig, (150, 176), angles[:45])
-    frames = Sensor().photograph(np.concatenate([quarter] * 4), np.random.default_rng(0))
-    write_frames(tmp_path / "frames.h5", frames, angles)
+    counts = Sensor().photograph(np.concatenate([quarter] * 4), np.random.default_rng(0))
+    write_frames(tmp_path / "frames.h5", counts, angles)
     rms, rms_of_ends = [], []
     for settings in (Settings(voxel_mm=0.1), Settings(voxel_mm=0.1, accurate=True)):
         with open_frames(tmp_path / "frames.h5") as frames:
