@@ -91,7 +91,7 @@ def filter_rays(matrix: Float32Array, rays: Float32Array) -> Float32Array:
     return filtered
 
 
-@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+@njit(parallel=True, nogil=True, fastmath=FAST_MATH, cache=True)
 def _filter_rays(matrix: Float32Array, rays: Float32Array, filtered: Float32Array) -> None:
     angles, samples, depth = rays.shape
     padded = matrix.shape[1]

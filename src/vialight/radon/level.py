@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.radon.memory import aligned_zeros, padded_depth
 from vialight.radon.taps import tap
 
 _TILE = 32
@@ -13,9 +14,6 @@ _TILE = 32
 
 _ANGLES_A_PASS = 6
 """Angles summed before an accumulator is written back; twelve weights just fit the registers."""
-
-_CACHE_LINE = 64
-"""Bytes.  A vector that lies across two lines takes two reads; NumPy begins large arrays 16 bytes into a line."""
 
 
 def backproject(
@@ -60,14 +58,8 @@ def backproject(
 def _padded(filtered: Float32Array) -> Float32Array:
     """Copy (psi, s, z) to where every column of slices begins on a cache line, zeros filling the last pass and line."""
     angles, samples, depth = filtered.shape
-    floats_a_line = _CACHE_LINE // 4
-    shape = (angles + -angles % _ANGLES_A_PASS, samples, depth + -depth % floats_a_line)
-    room = np.empty(int(np.prod(shape)) + floats_a_line, np.float32)
-    start = -room.ctypes.data % _CACHE_LINE // 4
-    padded = room[start : start + room.size - floats_a_line].reshape(shape)
+    padded = aligned_zeros((angles + -angles % _ANGLES_A_PASS, samples, padded_depth(depth)))
     padded[:angles, :, :depth] = filtered
-    padded[:angles, :, depth:] = 0
-    padded[angles:] = 0
     return padded
 
 
