@@ -203,17 +203,17 @@ def renew_rays(
                         states[b, k, x] = LOST
                         touched[k] = 1
                     continue
-                states[b, k, x] = SEEN if gap <= WIDE_GAP_STEPS else BRIDGED
-                touched[k] = 1
-                v0, v1, v2, v3 = (
-                    views[slots[j - 1], x],
-                    views[slots[j], x],
-                    views[slots[j + 1], x],
-                    views[slots[j + 2], x],
-                )
-                row = sinogram[k, x]
+                state = np.uint8(SEEN if gap <= WIDE_GAP_STEPS else BRIDGED)
+                v0, v1 = views[slots[j - 1], x], views[slots[j], x]
+                v2, v3 = views[slots[j + 1], x], views[slots[j + 2], x]
+                row, change = sinogram[k, x], np.float32(0)
                 for z in range(b * block, min((b + 1) * block, depth)):
-                    row[z] = a0 * v0[z] + a1 * v1[z] + a2 * v2[z] + a3 * v3[z]
+                    value = a0 * v0[z] + a1 * v1[z] + a2 * v2[z] + a3 * v3[z]
+                    change += abs(value - row[z])
+                    row[z] = value
+                if change > 0 or state != states[b, k, x]:
+                    states[b, k, x] = state
+                    touched[k] = 1
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST_MATH, cache=True)
