@@ -87,7 +87,7 @@ def stop_model_for(
     resin: ResinModel,
     *,
     voxel_mm: float = 0.2,
-    resolution_mm: float = 0.1,
+    resolution_mm: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StopModel:
     """Rehearse a plan, for `vialight.feedback` to tell from what is seen when to stop.
@@ -103,7 +103,8 @@ def stop_model_for(
     voxel_mm
         Of the rehearsal, and edge of the places watched.
     resolution_mm
-        Standard deviation of the live volume's point spread.
+        Standard deviation of the live volume's point spread; by default that of the rig's camera: pixels are
+        interpolated linearly and filtered by a cosine, and the density of a cube is averaged.
     progress
         Called with rehearsals done and to do.
 
@@ -112,7 +113,13 @@ def stop_model_for(
     InputError
         The resin does not gel, or the rig says too little.
     """
-    stage = _Stage(plan, rig, resin, voxel_mm, resolution_mm)
+    stage = _Stage(
+        plan,
+        rig,
+        resin,
+        voxel_mm,
+        _resolution_mm(resin.in_vial_of(rig), voxel_mm) if resolution_mm is None else resolution_mm,
+    )
     doubted = _doubted(resin)
     runs: list[Rehearsal] = []
     for count, (model, sensitivity) in enumerate(
@@ -134,18 +141,30 @@ def stop_model_for(
     )  # fmt: skip
 
 
+def _resolution_mm(rig: Rig, cube_mm: float) -> float:
+    optics = rig.imaging_optics()
+    spacing = rig.need_camera().pixel_mm / (1.0 if optics is None else optics.resin_index)
+    # Variances of a cosine filter (two deltas half a spacing off), of linear interpolation, and of a cube.
+    return float(np.sqrt(spacing**2 * (1 / 4 + 1 / 6) + cube_mm**2 / 12))
+
+
 def _doubted(resin: ResinModel) -> dict[str, ResinModel]:
     """Return resins that differ from the believed one in what may be wrong, by one standard deviation of its prior."""
     chemistry, scattering = resin.chemistry, resin.scattering
-    return {
-        "diffusion": replace(
-            resin, chemistry=replace(chemistry, oxygen_diffusion_mm2_per_s=1.5 * chemistry.oxygen_diffusion_mm2_per_s)
-        ),
-        "induction": replace(resin, chemistry=replace(chemistry, oxygen_mol_per_m3=0.7 * chemistry.oxygen_mol_per_m3)),
-        "threshold": replace(
-            resin, scattering=replace(scattering, middle_conversion=1.07 * scattering.middle_conversion)
-        ),
+    changed = {
+        "diffusion of oxygen": {"oxygen_diffusion_mm2_per_s": 1.5},
+        "oxygen, and so induction": {"oxygen_mol_per_m3": 0.7},
+        # Both, so that it takes as much light as before.
+        "lifetime of radicals": {"radical_decay_per_s": 1.5, "propagation_m3_per_mol_s": 1.5},
     }
+    resins = {
+        name: replace(
+            resin, chemistry=replace(chemistry, **{key: getattr(chemistry, key) * by for key, by in change.items()})
+        )
+        for name, change in changed.items()
+    }
+    seen_later = replace(scattering, middle_conversion=1.07 * scattering.middle_conversion)
+    return resins | {"density at the gel point": replace(resin, scattering=seen_later)}
 
 
 class _Stage:

@@ -66,7 +66,9 @@ def places(model: StopModel, grid: Grid) -> IntArray:
 
 def sample(density: Float32Array, indices: IntArray) -> FloatArray:
     """Return (place,) the mean density of each place; `indices` are those of `places` for the volume's grid."""
-    return np.asarray(density.reshape(-1)[indices].mean(axis=1, dtype=np.float64))
+    # Not `density.reshape(-1)`, which would copy a live volume: that lies in memory with z innermost.
+    chosen = density[np.unravel_index(indices, density.shape)]
+    return np.asarray(chosen.mean(axis=1, dtype=np.float64))
 
 
 def observe(history: StopHistory, density: FloatArray, lit_s: float, threshold: float) -> StopHistory:

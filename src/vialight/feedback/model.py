@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vialight.arrays import FloatArray, IntArray
+from vialight.arrays import BoolArray, FloatArray, IntArray
 from vialight.errors import InputError
 
 BLOCK_MM = 1.0
@@ -81,10 +82,17 @@ class StopModel:
         if not (np.isfinite(self.stop_s).all() and (self.stop_s > 0).all()):
             raise InputError("stop model stop_s", f"is {self.stop_s}", accepted="positive times")
 
-    def blocks(self) -> IntArray:
-        """Return (place,) the number of the block of `BLOCK_MM` that each place lies in, from 0."""
+    @cached_property
+    def block(self) -> IntArray:
+        """(place,) number of the block of `BLOCK_MM` that each place lies in, from 0."""
         cells = np.floor(self.points_mm / BLOCK_MM).astype(np.int64)
         return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+
+    @cached_property
+    def is_known(self) -> BoolArray:
+        """(place,) whether it is seen to cure in every resin."""
+        times = np.vstack([self.crossing_s, *(doubt.crossing_change for doubt in self.doubts)])
+        return np.asarray(np.isfinite(times).all(axis=0))
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values, for `from_json`; NaN, where a place never cures, may have become None meanwhile."""

@@ -1,14 +1,15 @@
-"""When to stop: the resin that explains best when places were seen to cure, and what stop that resin wants.
+"""When to stop: the sensitivity that explains best when places were seen to cure, and what stop that resin wants.
 
-With ``u = ln(sensitivity)`` and doubts ``z``, each of unit prior variance, place i is seen to cure at
+With ``u = ln(sensitivity)`` and m, s from `StopModel`, place i is seen to cure at ``ln t_i = m_i(u) + noise``, and the
+light should go off at ``ln t_stop = s(u)``.  The most probable u is found by Newton's method.  Places that have not
+been seen to cure yet count as censored (Tobin 1958): all that is known of them is that their time is later than now;
+leaving them out would favour those that noise has let cross early.  Residuals beyond 2.5 standard deviations pull no
+harder (Huber 1964), and the places of a block count as one between them.
 
-    ln t_i = m_i(u) + sum_k z_k c_ik + noise                     m, c from `StopModel`
-    ln t_stop = s(u) + sum_k z_k g_k
-
-The most probable u and z are found by Newton's method.  Places that have not been seen to cure yet count as censored
-(Tobin 1958): all that is known of them is that their time is later than now; leaving them out would favour those that
-noise has let cross early.  Residuals beyond 2.5 standard deviations pull no harder (Huber 1964), and the places of a
-block count as one between them.
+What else may be wrong with the model, its doubts, is not fitted, since what a live volume leaves unexplained is mostly
+not the resin's doing; but how far each would have led astray is worked out and counts as uncertainty (a "consider
+analysis", Schmidt 1966).  A doubt that moves the crossings and the stop alike moves the prediction with them, and
+costs nothing.
 """
 
 from __future__ import annotations
@@ -18,23 +19,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
-from vialight.arrays import BoolArray, FloatArray
+from vialight.arrays import BoolArray, FloatArray, IntArray
 from vialight.feedback.history import StopHistory
 from vialight.feedback.model import StopModel
 
 SENSITIVITY_SPREAD = 0.5
 """Standard deviation of the prior of ln(sensitivity): lots are expected within a factor of about 1.6 of nominal."""
+FIRST_NOISE = 0.02
+"""Standard deviation of the logarithm of a place's time, to begin with."""
 LEAST_NOISE = 0.01
-"""Standard deviation of the logarithm of a place's time, at least."""
+"""The same, at least."""
 MODEL_ERROR = 0.007
-"""Standard deviation of ln(t_stop) when all crossings are explained: that of the model's own best stop."""
+"""Standard deviation of ln(t_stop) when all crossings are explained: of the least error of a rehearsal's stops."""
+TOO_EARLY = 4.0
+"""Places seen to cure in less than this share of the nominal time are dust or bubbles, not resin, and not watched."""
 LEAST_BLOCKS = 12
 """Blocks that must have been seen to cure before a stop is acted on."""
-LEAST_SHARE = 0.05
+LEAST_SHARE = 0.03
 """Share of the places that must have been."""
 
 _PULL = 2.5
-_STEPS = 8
+_STEPS = 10
 
 
 @dataclass(frozen=True)
@@ -44,13 +49,13 @@ class StopPrediction:
     Parameters
     ----------
     stop_s
-        Lit time at which to turn the light off: the phase of a turn near `best_s` at which the dose is even enough.
+        Lit time at which to turn the light off: near `best_s`, where in the turn the dose is even enough.
     best_s
         Lit time at which the final shape, dark cure included, would be best if every moment brought an even dose.
     sigma_s
         Standard deviation of `best_s`; infinite before anything has cured.
     sensitivity
-        Of the resin, relative to nominal.
+        Of the resin, relative to nominal: that of a resin, otherwise as believed, which would have cured as was seen.
     why
         The reasons, in a sentence, for the log.
     is_ready
@@ -95,26 +100,26 @@ def predict(model: StopModel, history: StopHistory) -> StopPrediction:
     >>> round(predict(model, history).best_s)
     216
     """
-    known: BoolArray = np.asarray(np.isfinite(model.crossing_s).all(axis=0))
-    for doubt in model.doubts:
-        known = known & np.isfinite(doubt.crossing_change)
-    seen = np.isfinite(history.crossing_s)
-    if not (seen & known).any():
-        best = float(np.exp(np.interp(0.0, np.log(model.sensitivities), np.log(model.stop_s))))
-        return StopPrediction(best, best, float("inf"), 1.0, "nothing watched has been seen to cure yet", False)
-    fit = _fit(model, history, known)
-    best, sigma = float(np.exp(fit.ln_stop)), float(np.exp(fit.ln_stop) * fit.sigma)
-    stop = _even_enough(best, model)
-    blocks = model.blocks()
-    is_wide = len(np.unique(blocks[seen & known])) >= min(LEAST_BLOCKS, len(np.unique(blocks[known])))
-    ready = is_wide and bool((seen & known).sum() >= LEAST_SHARE * known.sum())
-    sensitivity = float(np.exp(fit.parameters[0]))
+    ln_nominal, _ = _at(0.0, np.log(model.sensitivities), np.log(model.crossing_s))
+    with np.errstate(invalid="ignore"):
+        is_dust = history.crossing_s < np.exp(ln_nominal) / TOO_EARLY
+    used = model.is_known & ~is_dust
+    seen = used & np.isfinite(history.crossing_s)
+    if not seen.any():
+        best, _ = _at(0.0, np.log(model.sensitivities), np.log(model.stop_s[:, None]))
+        start = float(np.exp(best[0]))
+        return StopPrediction(start, start, float("inf"), 1.0, "nothing watched has been seen to cure yet", False)
+    fit = _fit(model, history, used)
+    best_s, sigma_s, sensitivity = float(np.exp(fit.ln_stop)), fit.sigma * float(np.exp(fit.ln_stop)), np.exp(fit.u)
+    stop_s = _even_enough(best_s, model)
+    blocks_seen, blocks_used = (len(np.unique(model.block[which])) for which in (seen, used))
+    is_ready = blocks_seen >= min(LEAST_BLOCKS, blocks_used) and seen.sum() >= LEAST_SHARE * used.sum()
     why = (
-        f"{int((seen & known).sum())} of {int(known.sum())} places have cured, as in resin {sensitivity:.3f} times as "
-        f"sensitive as nominal, to {100 * fit.misfit:.1f} %; best after {best:.1f} +- {sigma:.1f} s of light, and even "
-        f"enough at {stop:.1f} s ({stop / model.turn_s:.2f} turns)"
+        f"{seen.sum()} of {used.sum()} places have cured, as in resin {sensitivity:.3f} times as sensitive as nominal, "
+        f"each to {100 * fit.noise:.1f} %; shape best after {best_s:.1f} +- {sigma_s:.1f} s of light, dose even enough "
+        f"at {stop_s:.1f} s ({stop_s / model.turn_s:.2f} turns)"
     )
-    return StopPrediction(stop, best, sigma, sensitivity, why, ready)
+    return StopPrediction(stop_s, best_s, sigma_s, float(sensitivity), why, bool(is_ready))
 
 
 def should_stop(prediction: StopPrediction, now_s: float) -> bool:
@@ -124,50 +129,40 @@ def should_stop(prediction: StopPrediction, now_s: float) -> bool:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Most probable (u, z), ln(t_stop) and its standard deviation, and what of the crossings stays unexplained."""
+    """Most probable u, the noise of a place, ln(t_stop) and its standard deviation."""
 
-    parameters: FloatArray
+    u: float
+    noise: float
     ln_stop: float
     sigma: float
-    misfit: float
 
 
-def _fit(model: StopModel, history: StopHistory, known: BoolArray) -> _Fit:
-    ln_s, ln_stop = np.log(model.sensitivities), np.log(model.stop_s)
-    ln_cross = np.log(model.crossing_s[:, known])
-    changes = np.array([doubt.crossing_change[known] for doubt in model.doubts]).reshape(-1, ln_cross.shape[1])
-    stop_changes = np.array([doubt.stop_change for doubt in model.doubts])
-    observed = np.log(history.crossing_s[known])
-    seen = np.isfinite(observed)
-    ln_now = np.log(history.lit_s)
-    _, block, counts = np.unique(model.blocks()[known], return_inverse=True, return_counts=True)
-    share = 1 / counts[block]
-    precision = np.diag(np.r_[SENSITIVITY_SPREAD**-2, np.ones(len(changes))])
-    parameters = np.zeros(1 + len(changes))
-    parameters[0] = _first_guess(ln_s, ln_cross[:, seen], observed[seen])
-    noise = 0.05
+def _fit(model: StopModel, history: StopHistory, used: BoolArray) -> _Fit:
+    ln_s, ln_cross = np.log(model.sensitivities), np.log(model.crossing_s[:, used])
+    observed = np.log(history.crossing_s[used])
+    ln_now = float(np.log(history.lit_s))
+    block = model.block[used]
+    share = 1 / np.bincount(block)[block]
+    u, noise = _first_guess(ln_s, ln_cross, observed), FIRST_NOISE
     for _ in range(_STEPS):
-        expected, slope = _at(parameters[0], ln_s, ln_cross)
-        expected = expected + parameters[1:] @ changes
-        error, weight = _errors(observed, seen, expected, ln_now, noise)
-        jacobian = np.vstack([slope, changes])
-        hessian = precision + (jacobian * (share * weight / noise**2)) @ jacobian.T
-        gradient = jacobian @ (share * error / noise**2) - precision @ parameters
-        step = np.linalg.solve(hessian, gradient)
-        parameters = parameters + step
-        crossed = np.abs((observed - expected)[seen])
-        noise = max(LEAST_NOISE, 1.4826 * float(np.median(crossed)))
-    at_stop, stop_slope = _at(parameters[0], ln_s, ln_stop[:, None])
-    direction = np.r_[stop_slope, stop_changes]
-    misfit = _misfit(error, block, expected, ln_now, noise)
-    variance = direction @ np.linalg.solve(hessian, direction) + misfit**2 + MODEL_ERROR**2
-    return _Fit(parameters, float(at_stop[0] + parameters[1:] @ stop_changes), float(np.sqrt(variance)), misfit)
+        expected, slope = _at(u, ln_s, ln_cross)
+        error, weight, square = _errors(observed, expected, ln_now, noise)
+        pull = slope * share / noise**2
+        precision = SENSITIVITY_SPREAD**-2 + float(pull @ (weight * slope))
+        u += float(np.clip((float(pull @ error) - u / SENSITIVITY_SPREAD**2) / precision, -0.2, 0.2))
+        noise = max(LEAST_NOISE, float(np.sqrt(np.average(square, weights=share))))
+    ln_stop, stop_slope = (float(value[0]) for value in _at(u, ln_s, np.log(model.stop_s[:, None])))
+    variance = stop_slope**2 / precision + _misfit(error, block, expected, ln_now, noise) ** 2 + MODEL_ERROR**2
+    for doubt in model.doubts:
+        led_astray = float(pull @ (weight * doubt.crossing_change[used])) / precision
+        variance += (stop_slope * led_astray - doubt.stop_change) ** 2
+    return _Fit(u, noise, ln_stop, float(np.sqrt(variance)))
 
 
 def _first_guess(ln_s: FloatArray, ln_cross: FloatArray, observed: FloatArray) -> float:
-    """Return ln(sensitivity) at which half of what has been seen was to be expected as early."""
-    middle = np.median(ln_cross - observed, axis=1)  # falls as sensitivity rises
-    return float(np.interp(0.0, -middle, ln_s))
+    """Return u at which half of what has been seen was to be expected as early."""
+    late = np.nanmedian(observed - ln_cross, axis=1)  # rises with sensitivity
+    return float(np.interp(0.0, late, ln_s))
 
 
 def _at(u: float, ln_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -178,19 +173,23 @@ def _at(u: float, ln_s: FloatArray, values: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _errors(
-    observed: FloatArray, seen: BoolArray, expected: FloatArray, ln_now: float, noise: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return what each place says that its expectation is off by, and how surely, 0 to 1.
+    observed: FloatArray, expected: FloatArray, ln_now: float, noise: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what each place says that its expectation is off by, how surely, 0 to 1, and the square to expect.
 
-    Of a place not seen yet: the mean of what a normal distribution has beyond now, and one minus its variance.
+    Of a place not seen yet: the mean of what a normal distribution has beyond now, one minus its variance, and its mean
+    square.
     """
+    seen = np.isfinite(observed)
     z = np.clip((ln_now - expected) / noise, -8.0, _PULL)
     hazard = np.exp(-(z**2) / 2 - log_ndtr(-z)) / np.sqrt(2 * np.pi)
     apart = np.clip(np.nan_to_num(observed - expected), -_PULL * noise, _PULL * noise)
-    return np.where(seen, apart, noise * hazard), np.where(seen, 1.0, hazard * (hazard - z))
+    error = np.where(seen, apart, noise * hazard)
+    weight = np.where(seen, 1.0, hazard * (hazard - z))
+    return error, weight, np.where(seen, apart**2, noise**2 * (1 + z * hazard))
 
 
-def _misfit(error: FloatArray, block: np.ndarray, expected: FloatArray, ln_now: float, noise: float) -> float:
+def _misfit(error: FloatArray, block: IntArray, expected: FloatArray, ln_now: float, noise: float) -> float:
     """Return the spread of the blocks' mean errors, of places that should have been seen by now."""
     due = ln_now - expected > noise
     counts = np.bincount(block, weights=due)
