@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import Float32Array, IntArray
+from vialight.arrays import Float32Array
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ class SurfaceSnapshot:
     """For how long light had been on."""
     vertices_mm: Float32Array
     """(vertex, xyz)."""
-    faces: IntArray
-    """(face, corner) int32."""
+    faces: NDArray[np.int32]
+    """(face, corner)."""
     deviation_mm: Float32Array
     """(vertex,) signed distance to the reference, negative inside; empty without a reference."""
     rmse_mm: float | None
@@ -99,6 +99,8 @@ class CameraImage:
     """(row, column)."""
     time_s: float
     angle_deg: float
+    arrived_monotonic_s: float = 0.0
+    """When it came from the camera, by `time.monotonic`."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,13 @@
-"""Frames in, snapshots out: the print measured while it forms."""
+"""Frames in, snapshots out: the print measured while it forms.
+
+- `window`, `turn`, `schedule`: the volume of the latest turn, renewed with every frame
+- `analysis`: what about once a second is measured on it
+- `following`, `analysing`: the two processes that do so; `sharing` hands the volume from one to the other
+- `watcher`: both as one thing
+"""
+
+from vialight.live.following import LiveSettings
+from vialight.live.watcher import LiveWatcher
+from vialight.live.window import SlidingWindow
+
+__all__ = ["LiveSettings", "LiveWatcher", "SlidingWindow"]

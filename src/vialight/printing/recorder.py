@@ -6,6 +6,7 @@ import queue
 import shutil
 import statistics
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -65,7 +66,7 @@ class Recorder:
     ) -> None:  # fmt: skip
         self._camera, self._clock, self._period_s = camera, clock, 1 / frame_rate_hz
         self._angle_at, self._log, self._on_written = angle_at, log, on_written
-        self._queue: queue.Queue[tuple[CameraFrame, float]] = queue.Queue(int(_QUEUE_S * frame_rate_hz))
+        self._queue: queue.Queue[tuple[CameraFrame, float, float]] = queue.Queue(int(_QUEUE_S * frame_rate_hz))
         self._writer: FrameWriter | None = None
         self._writer_lock = threading.Lock()
         self._delays: deque[float] = deque(maxlen=_NEWEST)
@@ -142,14 +143,14 @@ class Recorder:
                 self._fault = str(error)
                 self._log.note("fault", str(error))
                 return
-            self._arrived_s = self._clock.now_s()
+            self._arrived_s, arrived = self._clock.now_s(), time.monotonic()
             if frame.number in self._seen:
                 self._log.note("frame", number=frame.number, odd="came twice")
                 continue
             self._seen.add(frame.number)
             self._highest = max(self._highest, frame.number)
             try:
-                self._queue.put_nowait((frame, self._believable(frame)))
+                self._queue.put_nowait((frame, self._believable(frame), arrived))
             except queue.Full:
                 self._log.note("fault", "frames are lost: the disk is too slow", number=frame.number)
 
@@ -167,18 +168,18 @@ class Recorder:
     def _write(self) -> None:
         while not (self._ending.is_set() and self._queue.empty()):
             try:
-                frame, time_s = self._queue.get(timeout=_POLL_S)
+                frame, time_s, arrived = self._queue.get(timeout=_POLL_S)
             except queue.Empty:
                 continue
             try:
-                self._write_one(frame, time_s)
+                self._write_one(frame, time_s, arrived)
             finally:
                 self._queue.task_done()
             if self.lag_s > _LAG_WARNING_S and not self._is_slow:
                 self._is_slow = True
                 self._log.note("disk", f"the disk is {self.lag_s:.1f} s behind the camera; it holds {_QUEUE_S:g} s")
 
-    def _write_one(self, frame: CameraFrame, time_s: float) -> None:
+    def _write_one(self, frame: CameraFrame, time_s: float, arrived: float) -> None:
         angle = self._angle_at(time_s)
         with self._writer_lock:
             if self._disk_told:
@@ -191,7 +192,8 @@ class Recorder:
                     self._log.note("fault", str(error))
                     return
                 self.written += 1
-        self._on_written(CameraImage(self.written - 1, frame.counts, time_s, float(np.rad2deg(angle))))
+        number = self.written - 1 if self._writer is not None else -1
+        self._on_written(CameraImage(number, frame.counts, time_s, float(np.rad2deg(angle)), arrived))
 
 
 def room_for(folder: Path, image: NDArray[np.uint16], frames: int) -> tuple[int, int]:

@@ -214,7 +214,7 @@ class _Session:
         self._wait(lambda: self._recorder.written > 0, "camera", "has sent no frame")
         self._watcher.start()
         self._wait(
-            lambda: self._watcher.is_ready() or bool(self._watcher.fault()), "live", "is not ready", _READY_TIMEOUT_S
+            lambda: self._watcher.is_ready() or self._watcher.has_ended(), "live", "is not ready", _READY_TIMEOUT_S
         )
 
     def expose(self) -> None:

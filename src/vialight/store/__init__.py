@@ -25,13 +25,16 @@ from vialight.store.recording import FrameWriter, write_frames
 from vialight.store.results import read_json, sha256_of, to_json, write_json
 from vialight.store.rigs import rig_to_toml
 from vialight.store.states import SavedState, read_state, write_state
+from vialight.store.tail import FrameTail, NewFrames
 from vialight.store.volumes import VolumeWriter, read_volume, write_volume
 
 __all__ = [
     "FrameFile",
+    "FrameTail",
     "FrameWriter",
     "HistoryMoment",
     "HistoryNumbers",
+    "NewFrames",
     "Planes",
     "SavedState",
     "StoredSurface",

@@ -54,7 +54,7 @@ def open_frames(path: str | Path) -> FrameFile:
     ((4, 2, 3), (2, 1, 3))
     """
     path = Path(path)
-    file, is_live = _open(path)
+    file, is_live = open_hdf5(path)
     try:
         return FrameFile(path, file, is_live=is_live)
     except BaseException as error:
@@ -209,7 +209,8 @@ class FrameFile:
         return _with_filters(dataset)
 
 
-def _open(path: Path) -> tuple[Any, bool]:
+def open_hdf5(path: Path) -> tuple[Any, bool]:
+    """Open a file for reading, and say whether it is (or was, by a writer that was killed) open for writing."""
     import h5py
 
     wanted = "an HDF5 file in the Data Exchange layout"

@@ -1,0 +1,264 @@
+"""Print a plan, measured while it forms."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vialight.commands.measuring import measure_surface, reconstruct_recording
+from vialight.commands.provenance import inputs_json, versions
+from vialight.commands.stop_models import stop_model_for
+from vialight.config import Rig
+from vialight.devices.simulated import Mishaps, SimulatedPrinter, WorldSettings
+from vialight.errors import InputError, VialightError
+from vialight.feedback import StopModel
+from vialight.links import PrintStatus
+from vialight.live import LiveSettings, LiveWatcher
+from vialight.mesh import Mesh, load_mesh
+from vialight.plan import Plan
+from vialight.printing import PrintSettings, print_plan
+from vialight.store import read_plan, rig_to_toml, write_json, write_stl
+from vialight.twin import ResinModel, TwinSettings, find_rig, load_resin, resin_names
+
+RUN = "run.json"
+_DEFAULT_RESIN = "DUDMA"
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """The printer that stands in where no devices are named.
+
+    Parameters
+    ----------
+    resin
+        What is in its vial, a preset or TOML; by default the rig's resin, where that is a preset.
+    rate
+        Seconds of the print in a second of the wall clock, where the machine keeps up.
+    voxel_mm
+        Of the resin.
+    binning
+        Of the camera's pixels.
+    twin
+        How closely to look; its binning is replaced.
+    mishaps
+        What is to go wrong.
+    """
+
+    resin: str | None = None
+    rate: float = 1.0
+    voxel_mm: float = 0.15
+    binning: int = 1
+    twin: TwinSettings = field(default_factory=TwinSettings)
+    mishaps: Mishaps = field(default_factory=Mishaps)
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.rate) and 0.01 <= self.rate <= 100):
+            raise InputError("--rate", f"is {self.rate}", accepted="0.01 to 100")
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """How a print is measured while it forms.
+
+    Parameters
+    ----------
+    reference
+        Mesh to compare with; by default the part as the plan has placed it.
+    threshold
+        I_p, counts per mm of the recorded pixels; by default the rig's.
+    voxel_mm
+        Of the live volume; by default that of a reconstruction.
+    every_deg
+        Turn of the object between volumes and surfaces that are kept.
+    tolerance_mm
+        For the verdict on the finished print.
+    """
+
+    reference: Path | None = None
+    threshold: float | None = None
+    voxel_mm: float | None = None
+    every_deg: float = 360.0
+    tolerance_mm: float | None = None
+
+
+def print_part(
+    plan_path: str | Path,
+    rig_path: str | Path,
+    out: str | Path,
+    *,
+    settings: PrintSettings | None = None,
+    live: LiveOptions | None = None,
+    simulation: Simulation | None = None,
+    keep_going: Callable[[], bool] = lambda: True,
+    on_status: Callable[[PrintStatus], None] = lambda status: None,
+    on_step: Callable[[str], None] = lambda message: None,
+) -> dict[str, Any]:
+    """Print a plan, record and measure it while it forms, and measure what came of it.
+
+    Parameters
+    ----------
+    plan_path, rig_path
+        The plan, HDF5; the printer: TOML, or the name of a preset.
+    out
+        The run's folder, see ``docs/run-folder.md``; it must not hold anything yet.
+    settings
+        How to print, and when to stop.
+    live
+        How to measure.
+    simulation
+        The printer.
+    keep_going
+        Asked all the time; False ends the light at once and the print in its usual way.
+    on_status, on_step
+        Told how the print is doing, several times a second; and in words what is done besides.
+
+    Returns
+    -------
+    dict
+        What ``run.json`` holds.
+
+    Raises
+    ------
+    InputError
+        Plan, rig or settings cannot be used, or a check before the print fails.
+    DeviceError
+        A device fails before there is light.
+    """
+    settings, live, simulation = settings or PrintSettings(), live or LiveOptions(), simulation or Simulation()
+    job = _Job.read(Path(plan_path), rig_path, live, simulation)
+    on_step("rehearsing the print, to know when to stop")
+    model = stop_model_for(job.plan, job.rig, job.resin) if settings.stop == "auto" else None
+    run = _new_folder(Path(out))
+    started = time.monotonic()
+    result = job.write_to(run, settings)
+    on_step("starting the printer")
+    with job.printer(run) as printer:
+        watcher = LiveWatcher(job.live_settings(run, printer.folder, settings, model))
+        try:
+            printed = print_plan(
+                job.recorded, printer.devices, run, printer.folder, settings, watcher,
+                keep_going=keep_going, on_status=on_status,
+            )  # fmt: skip
+        except BaseException as error:
+            write_json(run / RUN, result | {"state": "failed", "error": str(error) or type(error).__name__})
+            raise
+        truth = printer.write_truth(run / "truth.stl")
+    result |= {"state": "done", "printed": printed, "truth": truth, "elapsed_s": round(time.monotonic() - started, 3)}
+    write_json(run / RUN, result)
+    on_step("measuring the finished print")
+    result |= _measured(run, live.tolerance_mm)
+    write_json(run / RUN, result)
+    return result
+
+
+def _measured(run: Path, tolerance_mm: float | None) -> dict[str, Any]:
+    """Reconstruct and measure a finished print; what cannot be measured is told, and loses nothing."""
+    try:
+        reconstruct_recording(run / "frames.h5", run / "rig.toml", run)
+        return {"measured": measure_surface(run, run / "reference.stl", run, tolerance_mm=tolerance_mm)}
+    except VialightError as error:
+        return {"measured": None, "why_not_measured": str(error)}
+
+
+def _new_folder(out: Path) -> Path:
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(out, "holds something already", accepted="a new folder", remedy="choose another name")
+    try:
+        out.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(out, f"cannot be made ({error.strerror})", remedy="check the path") from error
+    return out
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A print that can begin: all inputs read and found to fit."""
+
+    plan_path: Path
+    plan: Plan
+    rig: Rig
+    recorded: Rig
+    resin: ResinModel
+    reference: Mesh
+    live: LiveOptions
+    simulation: Simulation
+    rig_name: str
+
+    @classmethod
+    def read(cls, plan_path: Path, rig_path: str | Path, live: LiveOptions, simulation: Simulation) -> _Job:
+        plan, rig = read_plan(plan_path), find_rig(rig_path)
+        name = simulation.resin or (rig.resin.name if rig.resin.name in resin_names() else _DEFAULT_RESIN)
+        resin = load_resin(name)
+        reference = plan.reference if live.reference is None else load_mesh(live.reference)
+        believed = rig if rig.resin.index_imaging is not None else resin.in_vial_of(rig)
+        simulation = Simulation(
+            name, simulation.rate, simulation.voxel_mm, simulation.binning, simulation.twin, simulation.mishaps
+        )
+        recorded = _as_recorded(believed, resin, live.threshold, simulation.binning)
+        return cls(plan_path, plan, believed, recorded, resin, reference, live, simulation, str(rig_path))
+
+    def write_to(self, run: Path, settings: PrintSettings) -> dict[str, Any]:
+        """Write what is known before the print; return what ``run.json`` then holds."""
+        shutil.copyfile(self.plan_path, run / "plan.h5")
+        (run / "rig.toml").write_text(rig_to_toml(self.recorded), encoding="utf-8")
+        write_stl(run / "reference.stl", self.reference)
+        begun = {
+            "kind": "print",
+            "state": "printing",
+            "name": self.plan.inputs.get("part", {}).get("file", self.plan_path.name),
+            "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "inputs": inputs_json(plan=self.plan_path),
+            "settings": asdict(settings) | {"every_deg": self.live.every_deg},
+            "simulation": {"resin": self.simulation.resin, "rate": self.simulation.rate,
+                           "voxel_mm": self.simulation.voxel_mm, "binning": self.simulation.binning},
+            "versions": versions(),
+        }  # fmt: skip
+        write_json(run / RUN, begun)
+        return begun
+
+    def printer(self, run: Path) -> SimulatedPrinter:
+        """Start the printer."""
+        simulation = self.simulation
+        twin = TwinSettings(**(vars(simulation.twin) | {"binning": simulation.binning}))
+        world = WorldSettings(
+            self.plan_path, self.rig_name, simulation.resin or _DEFAULT_RESIN, simulation.voxel_mm, twin,
+            simulation.mishaps, simulation.rate,
+        )  # fmt: skip
+        refresh_hz = self.rig.need_projector().frame_rate_hz
+        return SimulatedPrinter(world, self.plan.patterns.angles_rad, refresh_hz, run / "projector.csv")
+
+    def live_settings(
+        self, run: Path, mailboxes: Path, settings: PrintSettings, model: StopModel | None
+    ) -> LiveSettings:
+        """Return what the live measurement is to follow."""
+        threshold = self.recorded.resin.threshold
+        assert threshold is not None  # `_as_recorded` has seen to it
+        turn_s = 360 / self.rig.stage.speed_deg_s
+        frames = 2 * round(turn_s * settings.frame_rate_hz / 2)
+        return LiveSettings(
+            run, mailboxes, self.recorded, threshold, frames, self.reference, model, self.live.voxel_mm,
+            self.live.every_deg,
+        )  # fmt: skip
+
+
+def _as_recorded(rig: Rig, resin: ResinModel, threshold: float | None, binning: int) -> Rig:
+    """Return the rig of the recorded pixels, with a threshold that belongs to them.
+
+    Counts of binned pixels are sums, and so is the threshold.  Where neither rig nor user gives one, it is that of the
+    simulated resin: the density at its gel point.
+    """
+    if threshold is None:
+        known = rig.resin.threshold
+        if known is None:
+            known = float(resin.scattering.density(np.array([resin.chemistry.gel_conversion], np.float32))[0])
+        threshold = known * binning**2
+    update = {"threshold": float(threshold), "threshold_conditions": None}
+    return rig.model_copy(
+        update={"camera": rig.need_camera().binned(binning), "resin": rig.resin.model_copy(update=update)}
+    )

@@ -1,0 +1,108 @@
+"""The process that measures the live volume about once a second, and keeps what a print looked like over time."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import time
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+import numpy as np
+
+from vialight.arrays import Volume
+from vialight.errors import InputError
+from vialight.links import Mailbox, SurfaceSnapshot
+from vialight.live.analysis import Measured, mean_gel_times, measure, middle_slices, note_gelled, yardstick
+from vialight.live.following import LiveSettings
+from vialight.live.sharing import Given, SharedVolume
+from vialight.store import write_history, write_ply
+
+_LARGEST_SURFACE = 64 * 2**20
+_WAIT_S = 0.2
+_START_S = 60.0
+
+
+def analyse(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
+    """Measure whatever volume is given until told to finish, or until the process that prints is gone."""
+    os.nice(8)
+    path = settings.mailboxes / "volume"
+    deadline = time.monotonic() + _START_S
+    while not path.exists():
+        if time.monotonic() > deadline:
+            return
+        time.sleep(0.02)
+    analyst = _Analyst(settings, SharedVolume(path))
+    orders.send("ready")
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    is_finishing = False
+    while not wait([parent.sentinel], timeout=0):
+        if analyst.measure_next():
+            continue
+        if is_finishing:
+            analyst.finish()
+            orders.send("done")
+            return
+        if orders.poll():
+            is_finishing = orders.recv() == "finish"
+
+
+class _Analyst:
+    """What the process keeps from one volume to the next."""
+
+    def __init__(self, settings: LiveSettings, shared: SharedVolume) -> None:
+        self._settings, self._shared = settings, shared
+        self._surfaces = Mailbox(settings.mailboxes / "surface", _LARGEST_SURFACE)
+        # Made by the other process before it gives the first volume.
+        self._snapshots, self._forecasts = (Mailbox(settings.mailboxes / name) for name in ("snapshot", "forecast"))
+        self._against = None if settings.reference is None else yardstick(settings.reference, shared.grid)
+        self._gel_time_s = np.full(shared.grid.shape, np.nan, np.float32)
+        self._kept_at_rad = -np.inf
+        (settings.run / "surfaces").mkdir(exist_ok=True)
+
+    def measure_next(self) -> bool:
+        """Measure the next volume; False where none came."""
+        given = self._shared.take(_WAIT_S)
+        if given is None:
+            return False
+        if given.lit_s > 0:
+            note_gelled(self._gel_time_s, given.density, self._settings.threshold, given.lit_s)
+        found = measure(Volume(given.density, self._shared.grid), self._settings.threshold, self._against)
+        told = self._told(given, found)
+        self._surfaces.put(told)
+        with contextlib.suppress(InputError):  # a full disk: the recorder tells; what is shown needs no disk
+            self._keep(given, found, told)
+        self._shared.give_back()
+        return True
+
+    def finish(self) -> None:
+        """Keep what only the end knows."""
+        np.save(self._settings.run / "gel_time_s.npy", self._gel_time_s)
+
+    def _told(self, given: Given, found: Measured) -> SurfaceSnapshot:
+        surface = found.surface
+        forecast = self._forecasts.newest()
+        return SurfaceSnapshot(
+            frames=given.frames, time_s=given.time_s, lit_s=given.lit_s,
+            vertices_mm=np.empty((0, 3), np.float32) if surface is None else surface.vertices_mm.astype(np.float32),
+            faces=np.empty((0, 3), np.int32) if surface is None else surface.faces.astype(np.int32),
+            deviation_mm=found.deviation_mm, rmse_mm=found.rmse_mm, reverse_rmse_mm=found.reverse_rmse_mm,
+            iou=found.iou, cured_volume_mm3=float((given.density >= self._settings.threshold).sum())
+            * self._shared.grid.voxel_mm**3,
+            slices=middle_slices(given.density), gel_time_s=mean_gel_times(self._gel_time_s),
+            forecast=None if forecast is None else forecast[1],
+        )  # fmt: skip
+
+    def _keep(self, given: Given, found: Measured, told: SurfaceSnapshot) -> None:
+        """Add to the history; once in a while keep surface and volume too."""
+        newest = self._snapshots.newest()
+        if newest is not None:
+            write_history(self._settings.run, newest[1], told)
+        if abs(given.angle_rad - self._kept_at_rad) < np.deg2rad(self._settings.every_deg):
+            return
+        self._kept_at_rad = given.angle_rad
+        if found.surface is not None:
+            scalars = {"deviation_mm": found.deviation_mm} if len(found.deviation_mm) else {}
+            write_ply(self._settings.run / "surfaces" / f"{given.frames - 1:06d}.ply", found.surface, scalars)

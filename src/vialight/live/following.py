@@ -1,0 +1,172 @@
+"""The process that renews the live volume: it reads the recording, and hands on what comes of it.
+
+Nobody waits for it.  It reads every frame; where it is late, it takes all that wait into one renewal.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections import deque
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vialight.config import Rig
+from vialight.feedback import StopHistory, StopModel, fresh_history, observe, places, predict, sample
+from vialight.links import CameraImage, Mailbox, Snapshot, StopForecast
+from vialight.live.analysis import region_of
+from vialight.live.lit_time import LitTime
+from vialight.live.sharing import SharedVolume
+from vialight.live.window import SlidingWindow, WindowState
+from vialight.mesh import Mesh
+from vialight.store import FrameTail
+
+_POLL_S = 0.003
+_SECOND_S = 1.0
+_RATE_OVER = 50
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """What is to be followed, and how.
+
+    Parameters
+    ----------
+    run
+        The run's folder, with ``frames.h5`` and, where light is logged, ``projector.csv``.
+    mailboxes
+        Folder for ``snapshot``, ``surface`` and ``forecast``.
+    rig
+        As the frames are recorded.
+    threshold
+        I_p, counts per mm.
+    frames_per_turn
+        Virtual angles of the window.
+    reference
+        What is meant; None to compare with nothing.
+    stop_model
+        What the forecast of the stop stands on; None for none.
+    voxel_mm
+        Of the live volume; by default that of a reconstruction.
+    every_deg
+        Turn of the object between volumes and surfaces that are kept.
+    """
+
+    run: Path
+    mailboxes: Path
+    rig: Rig
+    threshold: float
+    frames_per_turn: int
+    reference: Mesh | None = None
+    stop_model: StopModel | None = None
+    voxel_mm: float | None = None
+    every_deg: float = 360.0
+
+
+def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
+    """Renew the volume with every frame until told to finish, or until the process that prints is gone."""
+    os.nice(2)
+    tail = FrameTail(settings.run / "frames.h5")
+    window = SlidingWindow(
+        settings.rig, tail.image_shape, settings.frames_per_turn, dark=tail.dark, threshold=settings.threshold,
+        voxel_mm=settings.voxel_mm,
+    )  # fmt: skip
+    follower = _Follower(settings, window)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    orders.send("ready")
+    is_finishing = False
+    while not wait([parent.sentinel], timeout=0):
+        new = tail.new()
+        if new is not None:
+            for counts, angle in zip(new.counts, new.angles_rad, strict=True):
+                window.add(counts, float(angle))
+            follower.renew(new.first + len(new.counts), float(new.time_s[-1]), float(new.angles_rad[-1]), new.time_s)
+        elif is_finishing:
+            follower.give_volume()
+            orders.send("done")
+            return
+        elif orders.poll(_POLL_S):
+            is_finishing = orders.recv() == "finish"
+
+
+class _Follower:
+    """What the process keeps from one renewal to the next."""
+
+    def __init__(self, settings: LiveSettings, window: SlidingWindow) -> None:
+        self._settings, self._window = settings, window
+        images = sum(a * b for a, b in _pairs(window.grid.shape)) * 4 * 2
+        self._snapshots = Mailbox(settings.mailboxes / "snapshot", images + 2**16)
+        self._forecasts = Mailbox(settings.mailboxes / "forecast", 2**14)
+        self._camera: Mailbox | None = None
+        self._lit = LitTime(settings.run / "projector.csv")
+        self._shared = SharedVolume.make(
+            settings.mailboxes / "volume", window.grid, region_of(window.grid, settings.reference)
+        )
+        self._times: deque[float] = deque(maxlen=_RATE_OVER)
+        self._model = settings.stop_model
+        self._history: StopHistory | None = None if self._model is None else fresh_history(self._model)
+        self._places = None if self._model is None else places(self._model, window.grid)
+        self._given_at = -np.inf
+        self._newest: tuple[int, float, float] = (0, 0.0, 0.0)
+
+    def renew(self, frames: int, time_s: float, angle_rad: float, times: Any) -> None:
+        state = self._window.renew()
+        self._times.extend(times)
+        snapshot = self._snapshot(state, frames, time_s, angle_rad)
+        self._snapshots.put(snapshot)
+        self._newest = (frames, time_s, angle_rad)
+        self._foresee(time_s)
+        if time.monotonic() - self._given_at >= _SECOND_S and self._shared.is_free():
+            self.give_volume()
+
+    def give_volume(self) -> None:
+        """Hand the volume to the process that measures it."""
+        frames, time_s, angle_rad = self._newest
+        if frames and self._shared.wait_until_free(_SECOND_S):
+            self._shared.give(self._window.volume, frames, time_s, self._lit.at(time_s), angle_rad)
+            self._given_at = time.monotonic()
+
+    def _snapshot(self, state: WindowState, frames: int, time_s: float, angle_rad: float) -> Snapshot:
+        span = self._times[-1] - self._times[0]
+        return Snapshot(
+            frames=frames, time_s=time_s, angle_deg=float(np.rad2deg(angle_rad)), latency_s=self._latency(frames),
+            frame_rate_hz=(len(self._times) - 1) / span if span > 0 else 0.0, voxel_mm=self._window.grid.voxel_mm,
+            centre_z_mm=self._window.grid.centre_z_mm, density=state.density, cured=state.cured,
+            cured_volume_mm3=state.cured_volume_mm3, provisional_share=state.provisional_share,
+        )  # fmt: skip
+
+    def _latency(self, frames: int) -> float:
+        """Return the wall time since the newest frame used arrived; NaN where a newer one has come since."""
+        if self._camera is None and (self._settings.mailboxes / "camera").exists():
+            self._camera = Mailbox(self._settings.mailboxes / "camera")
+        newest = self._camera.newest() if self._camera is not None else None
+        if newest is None:
+            return float("nan")
+        image: CameraImage = newest[1]
+        return time.monotonic() - image.arrived_monotonic_s if image.frame == frames - 1 else float("nan")
+
+    def _foresee(self, time_s: float) -> None:
+        if self._model is None or self._history is None or self._places is None:
+            return
+        lit_s = self._lit.at(time_s)
+        if not lit_s > 0:
+            return
+        density = sample(self._window.volume, self._places)
+        before = np.isfinite(self._history.crossing_s).sum()
+        self._history = observe(self._history, density, lit_s, self._settings.threshold)
+        if before == 0 and not np.isfinite(self._history.crossing_s).any():
+            return
+        told = predict(self._model, self._history)
+        if told.is_ready:
+            self._forecasts.put(StopForecast(told.stop_s, told.sigma_s, told.why))
+
+
+def _pairs(shape: tuple[int, int, int]) -> tuple[tuple[int, int], ...]:
+    z, y, x = shape
+    return (y, x), (z, x), (z, y)

@@ -1,0 +1,124 @@
+"""The live measurement as one thing: its processes, whether they are well, and what they forecast."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import time
+from multiprocessing.connection import Connection
+from typing import Any
+
+from vialight.links import Mailbox, Snapshot, StopForecast, SurfaceSnapshot
+from vialight.live.analysing import analyse
+from vialight.live.following import LiveSettings, follow
+
+_FINISH_TIMEOUT_S = 60.0
+_END_TIMEOUT_S = 2.0
+
+
+class LiveWatcher:
+    """Follows a recording in two processes: one renews the volume, one measures it.
+
+    Parameters
+    ----------
+    settings
+        What to follow.
+
+    Attributes
+    ----------
+    processes : dict
+        Name to process.
+    """
+
+    def __init__(self, settings: LiveSettings) -> None:
+        self._settings = settings
+        self.processes: dict[str, Any] = {}
+        self._orders: dict[str, Connection[Any, Any]] = {}
+        self._ready: set[str] = set()
+        self._boxes: dict[str, Mailbox] = {}
+
+    def start(self) -> None:
+        """Begin to follow; what had been started before is ended first, and the recording is read again."""
+        self._end()
+        (self._settings.mailboxes / "volume").unlink(missing_ok=True)
+        context = multiprocessing.get_context("spawn")
+        self._ready = set()
+        for name, work in (("follower", follow), ("analyst", analyse)):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=work, args=(self._settings, theirs), name=name, daemon=True)
+            process.start()
+            theirs.close()
+            self.processes[name], self._orders[name] = process, ours
+
+    def is_ready(self) -> bool:
+        """Whether both processes follow."""
+        for name, orders in self._orders.items():
+            with contextlib.suppress(EOFError, OSError):
+                if name not in self._ready and orders.poll():
+                    orders.recv()
+                    self._ready.add(name)
+        return len(self._ready) == len(self._orders) > 0
+
+    def has_ended(self) -> bool:
+        """Whether a process has ended by itself."""
+        return any(not process.is_alive() for process in self.processes.values())
+
+    def fault(self) -> str | None:
+        """Say which process has ended, or that they are not ready yet."""
+        if not self.processes:
+            return None
+        for name, process in list(self.processes.items()):
+            if not process.is_alive():
+                return f"the {name} has ended (exit code {process.exitcode})"
+        return None if self.is_ready() else "catching up"
+
+    def forecast(self) -> StopForecast | None:
+        """Return when the light should go off, as far as known."""
+        found: StopForecast | None = self._newest("forecast")
+        return found
+
+    def snapshot(self) -> Snapshot | None:
+        """Return the newest snapshot."""
+        found: Snapshot | None = self._newest("snapshot")
+        return found
+
+    def surface(self) -> SurfaceSnapshot | None:
+        """Return the newest surface."""
+        found: SurfaceSnapshot | None = self._newest("surface")
+        return found
+
+    def close(self) -> None:
+        """Let both processes finish with what is recorded, and end them."""
+        for name in ("follower", "analyst"):
+            self._finish(name)
+        self._end()
+
+    def _finish(self, name: str) -> None:
+        orders, process = self._orders.get(name), self.processes.get(name)
+        if orders is None or process is None or not process.is_alive():
+            return
+        deadline = time.monotonic() + _FINISH_TIMEOUT_S
+        with contextlib.suppress(EOFError, OSError):
+            orders.send("finish")
+            while orders.poll(max(0.0, deadline - time.monotonic())):
+                if orders.recv() == "done":
+                    process.join(_END_TIMEOUT_S)
+                    return
+
+    def _end(self) -> None:
+        for process in self.processes.values():
+            if process.is_alive():
+                process.kill()
+                process.join(_END_TIMEOUT_S)
+        for orders in self._orders.values():
+            orders.close()
+        self.processes, self._orders, self._boxes = {}, {}, {}
+
+    def _newest(self, name: str) -> Any:
+        path = self._settings.mailboxes / name
+        if name not in self._boxes:
+            if not path.exists():
+                return None
+            self._boxes[name] = Mailbox(path)
+        found = self._boxes[name].newest()
+        return None if found is None else found[1]
