@@ -217,6 +217,31 @@ def simulate(
 
 
 @main.command()
+@click.argument("run", type=_FOLDER)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option("--port", type=click.IntRange(0, 65535), help="0: any. [default: 8765, or any where that is taken]")
+@click.option(
+    "--name", "names", multiple=True, help="Another name by which people reach this machine; may be repeated."
+)
+def serve(run: Path, host: str, port: int | None, names: tuple[str, ...]) -> None:
+    """Show a RUN, printing or finished, or a folder of runs, in a browser; ends with Ctrl-C.
+
+    \b
+    Example:
+      vialight serve run
+      vialight serve runs --port 9000
+    """
+    with faults_told():
+        from vialight.commands import serve_runs
+
+        serve_runs(
+            run, host=host, port=port, names=names,
+            announce=lambda link: click.echo(f"open {link}"),
+            warn=lambda text: click.echo(f"vialight: warning: {text}", err=True),
+        )  # fmt: skip
+
+
+@main.command()
 @click.argument("plan", type=_FILE)
 @click.option(
     "--out", required=True, type=_FILE, help="Ending in .mp4: a video, lossless; else a folder of PNG images."

@@ -7,6 +7,7 @@ from vialight.commands.exporting import export_plan
 from vialight.commands.measuring import measure_surface, reconstruct_recording
 from vialight.commands.plan_settings import GivenProjections, PlanSettings
 from vialight.commands.planning import plan_part, score_plan
+from vialight.commands.serving import serve_runs
 
 __all__ = [
     "GivenProjections",
@@ -16,4 +17,5 @@ __all__ = [
     "plan_part",
     "reconstruct_recording",
     "score_plan",
+    "serve_runs",
 ]

@@ -1,0 +1,308 @@
+"""The server's addresses and what answers them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from typing import Any, TypeVar
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket
+
+from vialight.errors import InputError
+from vialight.web.access import Access, Gate
+from vialight.web.catalogue import DOWNLOADS, Catalogue, Run, log_lines, overview, summary
+from vialight.web.data import RunData
+from vialight.web.orders import OrderDesk, check_order
+from vialight.web.sockets import MOST_SOCKETS, refuse_socket, serve_socket
+from vialight.web.thumbnails import thumbnail
+from vialight.web.timelapses import TimeLapses
+from vialight.web.watching import CHANNELS, RunWatch
+
+_T = TypeVar("_T")
+_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'; sandbox"
+"""A report has its style inside; it needs no script, and gets none even if one had found its way in."""
+_BINARY = "application/octet-stream"
+
+
+def static_files() -> dict[str, tuple[bytes, str]]:
+    """Read the page's own files: address to content and media type.  A request picks one of these, or nothing."""
+    found: dict[str, tuple[bytes, str]] = {}
+
+    def gather(folder: Traversable, prefix: str) -> None:
+        for item in folder.iterdir():
+            if item.is_dir():
+                gather(item, f"{prefix}{item.name}/")
+            elif (kind := _TYPES.get(os.path.splitext(item.name)[1])) is not None:  # noqa: PTH122
+                found[prefix + item.name] = item.read_bytes(), kind
+
+    gather(files("vialight.web") / "static", "/static/")
+    found["/"] = found.pop("/static/index.html")
+    found["/favicon.ico"] = found["/static/icon.svg"]
+    return found
+
+
+@dataclass
+class _Shown:
+    """A run with what is kept of it."""
+
+    data: RunData
+    watch: RunWatch
+    sockets: int = 0
+
+
+@dataclass
+class PageServer:
+    """What the addresses share.
+
+    Parameters
+    ----------
+    catalogue
+        The runs.
+    access
+        Who is let in.
+    """
+
+    catalogue: Catalogue
+    access: Access
+    desk: OrderDesk = field(default_factory=OrderDesk)
+    timelapses: TimeLapses = field(default_factory=TimeLapses)
+    workers: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(2, "page"))
+    _shown: dict[str, _Shown] = field(default_factory=dict)
+
+    def app(self) -> ASGIApp:
+        """Return the whole application, with its gate in front."""
+        static = static_files()
+        public = {("GET", path) for path in static} | {("HEAD", path) for path in static} | {("POST", "/api/session")}
+
+        async def give_static(request: Request) -> Response:
+            content, kind = static[request.url.path]
+            return Response(content, media_type=kind, headers={"Cache-Control": "no-cache"})
+
+        of_run = "/api/runs/{run}"
+        routes = [
+            *(Route(path, give_static, methods=["GET"]) for path in static),
+            Route("/api/session", self.ask_session, methods=["GET"]),
+            Route("/api/session", self.open_session, methods=["POST"]),
+            Route("/api/runs", self.list_runs, methods=["GET"]),
+            Route(of_run, self.show_run, methods=["GET"]),
+            Route(of_run + "/curves/{start:int}", self.show_curves, methods=["GET"]),
+            Route(of_run + "/log/{start:int}", self.show_log, methods=["GET"]),
+            Route(of_run + "/moments/{number:int}", self.show_moment, methods=["GET"]),
+            Route(of_run + "/surfaces/{number:int}", self.show_surface, methods=["GET"]),
+            Route(of_run + "/reference", self.show_reference, methods=["GET"]),
+            Route(of_run + "/reference-sums", self.show_reference_sums, methods=["GET"]),
+            Route(of_run + "/thumbnail", self.show_thumbnail, methods=["GET"]),
+            Route(of_run + "/report", self.show_report, methods=["GET"]),
+            Route(of_run + "/files/{name}", self.download, methods=["GET"]),
+            Route(of_run + "/timelapse", self.ask_timelapse, methods=["GET"]),
+            Route(of_run + "/timelapse", self.make_timelapse, methods=["POST"]),
+            Route(of_run + "/timelapse.mp4", self.give_timelapse, methods=["GET"]),
+            Route(of_run + "/orders", self.take_order, methods=["POST"]),
+            Route(of_run + "/stop", self.take_stop, methods=["POST"]),
+            WebSocketRoute("/ws/{run}/{channel}", self.open_socket),
+        ]
+        handlers: dict[Any, Any] = {InputError: _tell_input_error, HTTPException: _tell_http_error}
+        inner = Starlette(routes=routes, exception_handlers=handlers, lifespan=self._lifespan)
+        return Gate(inner, self.access, lambda method, path: (method, path) in public)
+
+    @asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        yield
+        for shown in self._shown.values():
+            await shown.watch.stop()
+        self.desk.close()
+        self.timelapses.close()
+        self.workers.shutdown(wait=False)
+
+    async def _do(self, function: Callable[..., _T], *arguments: Any) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(self.workers, function, *arguments)
+
+    def _run(self, request: Request | WebSocket) -> Run:
+        run = self.catalogue.get(request.path_params["run"])
+        if run is None:
+            raise HTTPException(404, "no such run")
+        return run
+
+    def _of(self, run: Run) -> _Shown:
+        if run.key not in self._shown:
+            data = RunData(run)
+            self._shown[run.key] = _Shown(data, RunWatch(data, self.workers))
+        return self._shown[run.key]
+
+    async def ask_session(self, request: Request) -> Response:
+        """Say that the page is let in: otherwise the gate has answered."""
+        return JSONResponse({"name": self.catalogue.root.name, "single": self.catalogue.is_single})
+
+    async def open_session(self, request: Request) -> Response:
+        """Take the token and give a cookie."""
+        address = request.client.host if request.client else ""
+        wait_s = self.access.limit.wait_s(address)
+        if wait_s > 0:
+            return _error(429, f"too many wrong tokens; wait {wait_s:.0f} s", {"Retry-After": str(int(wait_s) + 1)})
+        given = await _json_of(request)
+        token = given.get("token") if isinstance(given, dict) else None
+        if not isinstance(token, str):
+            return _error(400, 'no token; accepted: {"token": "..."}')
+        if not self.access.is_token(token):
+            self.access.limit.fail(address)
+            return _error(401, "wrong token")
+        response = Response(status_code=204)
+        response.set_cookie(
+            self.access.cookie_name, self.access.cookie_value, httponly=True, samesite="strict", path="/",
+            max_age=30 * 86400,
+        )  # fmt: skip
+        return response
+
+    async def list_runs(self, request: Request) -> Response:
+        """List the runs, newest first."""
+        return JSONResponse(await self._do(lambda: [overview(run) for run in self.catalogue.refresh()]))
+
+    async def show_run(self, request: Request) -> Response:
+        """Tell what a run is."""
+        return JSONResponse(await self._do(summary, self._run(request)))
+
+    async def show_curves(self, request: Request) -> Response:
+        """Tell the numbers of a run's moments."""
+        data = self._of(self._run(request)).data
+        return JSONResponse(await self._do(data.curves, request.path_params["start"]))
+
+    async def show_log(self, request: Request) -> Response:
+        """Tell the run's log from an event on."""
+        return JSONResponse(await self._do(log_lines, self._run(request), request.path_params["start"]))
+
+    async def show_moment(self, request: Request) -> Response:
+        """Give the pictures of a moment."""
+        data = self._of(self._run(request)).data
+        return Response(await self._do(data.moment, request.path_params["number"]), media_type=_BINARY)
+
+    async def show_surface(self, request: Request) -> Response:
+        """Give a surface of the history."""
+        data = self._of(self._run(request)).data
+        return Response(await self._do(data.surface, request.path_params["number"]), media_type=_BINARY)
+
+    async def show_reference(self, request: Request) -> Response:
+        """Give the surface that is meant."""
+        return _bytes_or_404(await self._do(self._of(self._run(request)).data.reference_surface))
+
+    async def show_reference_sums(self, request: Request) -> Response:
+        """Give the reference's projections."""
+        return _bytes_or_404(await self._do(self._of(self._run(request)).data.reference_sums))
+
+    async def show_thumbnail(self, request: Request) -> Response:
+        """Give a small picture of the print."""
+        picture = await self._do(thumbnail, self._run(request))
+        return _bytes_or_404(picture, "image/png")
+
+    async def show_report(self, request: Request) -> Response:
+        """Give the finished print's report, as a page that may do nothing."""
+        path = self._run(request).folder / DOWNLOADS["report.html"][0]
+        if not path.is_file():
+            raise HTTPException(404, "there is no report yet")
+        return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": _REPORT_POLICY})
+
+    async def download(self, request: Request) -> Response:
+        """Give a file of the run, one of those that there are names for."""
+        run = self._run(request)
+        file, kind = DOWNLOADS.get(request.path_params["name"], ("", ""))
+        if not file or not (run.folder / file).is_file():
+            raise HTTPException(404, "no such file")
+        name = f"{run.name}-{file}"
+        return FileResponse(run.folder / file, media_type=kind, filename=name, content_disposition_type="attachment")
+
+    async def ask_timelapse(self, request: Request) -> Response:
+        """Tell how far the time-lapse is."""
+        return JSONResponse(self.timelapses.state(self._run(request)))
+
+    async def make_timelapse(self, request: Request) -> Response:
+        """Begin to draw the time-lapse."""
+        return JSONResponse(self.timelapses.begin(self._run(request)))
+
+    async def give_timelapse(self, request: Request) -> Response:
+        """Give the finished time-lapse."""
+        run = self._run(request)
+        path = self.timelapses.finished(run)
+        if path is None:
+            raise HTTPException(404, "it has not been made")
+        return FileResponse(path, media_type="video/mp4", filename=f"{run.name}-timelapse.mp4")
+
+    async def take_order(self, request: Request) -> Response:
+        """Pass an order on to the print."""
+        order = check_order(await _json_of(request))
+        return JSONResponse(await self.desk.obey(self._run(request), order, _who(request)))
+
+    async def take_stop(self, request: Request) -> Response:
+        """Stop the print; needs no body, so that any program can do it."""
+        return JSONResponse(await self.desk.obey(self._run(request), {"do": "stop"}, _who(request)))
+
+    async def open_socket(self, socket: WebSocket) -> None:
+        """Feed a page."""
+        run, channel = self.catalogue.get(socket.path_params["run"]), socket.path_params["channel"]
+        if run is None or channel not in CHANNELS:
+            await socket.close(1008)
+            return
+        if sum(shown.sockets for shown in self._shown.values()) >= MOST_SOCKETS:
+            await refuse_socket(socket, "too many pages are open; close some")
+            return
+        shown = self._of(run)
+        shown.sockets += 1
+        shown.watch.start()
+        try:
+            await serve_socket(socket, shown.watch, channel, self.desk)
+        finally:
+            shown.sockets -= 1
+            if not shown.sockets:
+                await shown.watch.stop()
+
+
+def _who(request: Request) -> str:
+    return f"page at {request.client.host if request.client else 'unknown'}"
+
+
+async def _json_of(request: Request) -> Any:
+    try:
+        return json.loads(await request.body())
+    except (ValueError, RecursionError):
+        return None
+
+
+def _bytes_or_404(content: bytes | None, kind: str = _BINARY) -> Response:
+    if content is None:
+        raise HTTPException(404, "there is none")
+    return Response(content, media_type=kind)
+
+
+def _error(status: int, why: str, headers: dict[str, str] | None = None) -> Response:
+    return JSONResponse({"error": why}, status, headers)
+
+
+async def _tell_input_error(request: Request, error: Exception) -> Response:
+    return _error(409 if request.method == "POST" else 404, _without_paths(str(error)))
+
+
+async def _tell_http_error(request: Request, error: Exception) -> Response:
+    known = error if isinstance(error, HTTPException) else HTTPException(500)
+    return _error(known.status_code, known.detail)
+
+
+def _without_paths(text: str) -> str:
+    """Leave folders of this machine out of what is told to a page."""
+    return " ".join(word.rsplit("/", 1)[-1] if word.startswith("/") else word for word in text.split(" "))

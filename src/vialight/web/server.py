@@ -1,0 +1,273 @@
+"""Starting the server: here, until it is told to end, or in a process of its own beside a print."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import logging
+import multiprocessing
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from vialight.errors import InputError
+
+if TYPE_CHECKING:
+    import uvicorn
+
+DEFAULT_PORT = 8765
+_START_TIMEOUT_S = 30.0
+_LINGER_S = 60.0
+"""For how long the page is served on after the process that prints was killed: it says so."""
+_CONNECTIONS = 256
+_NICE = 5
+"""Recording and measuring go first."""
+_LOOPBACK_NAMES = ("localhost", "ip6-localhost")
+
+
+@dataclass(frozen=True)
+class PageSettings:
+    """Where the page is served.
+
+    Parameters
+    ----------
+    host
+        Address to listen on.
+    port
+        0: any that is free; None: the usual one, or any where that is taken.
+    names
+        More host names that people type to reach this machine.
+    """
+
+    host: str = "127.0.0.1"
+    port: int | None = None
+    names: tuple[str, ...] = ()
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine can reach it."""
+        if self.host in _LOOPBACK_NAMES:
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+
+def serve(
+    root: str | Path, settings: PageSettings | None = None, *, announce: Callable[[str], None] | None = None
+) -> None:
+    """Serve the page of a run, or of a folder of runs, until Ctrl-C or SIGTERM.
+
+    Parameters
+    ----------
+    root
+        The folder.
+    settings
+        Where.
+    announce
+        Called with the link to open, when it can be opened.
+
+    Raises
+    ------
+    InputError
+        There is no such folder, or the address cannot be listened on.
+    """
+    settings = settings or PageSettings()
+    server, listener, link = _prepare(Path(root), settings)
+    with listener:
+        if announce is not None:
+            announce(link)
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listener])
+
+
+class PageProcess:
+    """The page's server in a process of its own, so that it can slow nothing down.
+
+    Parameters
+    ----------
+    root
+        A run's folder; its print need not have begun.
+    settings
+        Where.
+
+    Attributes
+    ----------
+    link : str
+        To be opened in a browser.  The secret is behind ``#``: no server sees it.
+    warning : str or None
+        What to tell where others than this machine can reach the page.
+
+    Raises
+    ------
+    InputError
+        There is no such folder, the address cannot be listened on, or the process does not start in time.
+    """
+
+    def __init__(self, root: str | Path, settings: PageSettings | None = None) -> None:
+        context = multiprocessing.get_context("spawn")
+        near, far = context.Pipe(duplex=False)
+        settings = settings or PageSettings()
+        self.warning = network_warning(settings)
+        self._process: SpawnProcess = context.Process(
+            target=_serve_beside, args=(Path(root).resolve(), settings, far), name="vialight page", daemon=True
+        )
+        self._process.start()
+        far.close()
+        with near:
+            answer = near.recv() if near.poll(_START_TIMEOUT_S) else None
+        if answer is None or "error" in answer:
+            self.close()
+            raise InputError(*(answer or {"error": ("page", "its server has not started")})["error"])
+        self.link: str = answer["link"]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the server is there."""
+        return self._process.is_alive()
+
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Wait until the server ends."""
+        self._process.join(timeout_s)
+
+    def close(self) -> None:
+        """End the server."""
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(5)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join(5)
+
+
+def network_warning(settings: PageSettings) -> str | None:
+    """Return what to tell where others than this machine can reach the page; None where they cannot."""
+    if settings.is_local:
+        return None
+    return (
+        f"the page is served on {settings.host}, without encryption: whoever can listen to that network can read the "
+        "token and stop the print; use a network that you trust, or an SSH tunnel to 127.0.0.1"
+    )
+
+
+def _prepare(root: Path, settings: PageSettings) -> tuple[uvicorn.Server, socket.socket, str]:
+    import uvicorn
+
+    from vialight.web.access import Access
+    from vialight.web.app import PageServer
+    from vialight.web.catalogue import Catalogue
+    from vialight.web.sockets import MESSAGE_LIMIT_BYTES
+    from vialight.web.tokens import token_for
+
+    catalogue = Catalogue(root)
+    listener = _listen(settings)
+    port = listener.getsockname()[1]
+    access = Access(token_for(catalogue.root), port, _names(settings))
+    logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+    config = uvicorn.Config(
+        PageServer(catalogue, access).app(),
+        log_config=None,
+        access_log=False,  # nobody reads it, and the run's log says who stopped a print
+        proxy_headers=False,  # an address that a client claims would get round the limit on tokens
+        server_header=False,
+        ws="websockets-sansio",
+        ws_max_size=MESSAGE_LIMIT_BYTES,
+        ws_per_message_deflate=False,  # pictures are packed already
+        ws_ping_interval=5.0,
+        ws_ping_timeout=10.0,
+        limit_concurrency=_CONNECTIONS,
+        timeout_graceful_shutdown=1,
+    )
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    shown = {"0.0.0.0": socket.gethostname(), "[::]": socket.gethostname()}.get(host, host)
+    return uvicorn.Server(config), listener, f"http://{shown}:{port}/#token={access.token}"
+
+
+def _names(settings: PageSettings) -> tuple[str, ...]:
+    own = () if settings.is_local else (socket.gethostname(), socket.getfqdn(), settings.host)
+    return tuple(dict.fromkeys((*own, *settings.names)))
+
+
+def _listen(settings: PageSettings) -> socket.socket:
+    wanted = DEFAULT_PORT if settings.port is None else settings.port
+    try:
+        return _bind(settings.host, wanted)
+    except OSError as error:
+        if settings.port is None:
+            with contextlib.suppress(OSError):
+                return _bind(settings.host, 0)
+        raise InputError(
+            "page", f"cannot listen on {settings.host} port {wanted} ({error.strerror})",
+            accepted="an address of this machine and a free port", remedy="choose another --port",
+        ) from error  # fmt: skip
+
+
+def _bind(host: str, port: int) -> socket.socket:
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    listener = socket.socket(family, kind, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def _serve_beside(root: Path, settings: PageSettings, pipe: Connection[Any, Any]) -> None:
+    # Ctrl-C in a terminal reaches every process there; when the page ends is the print's decision.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(_NICE)
+    try:
+        server, listener, link = _prepare(root, settings)
+    except InputError as error:
+        where, _, what = str(error).partition(": ")
+        pipe.send({"error": (where, what)})
+        return
+    pipe.send({"link": link})
+    pipe.close()
+    with _ended_by_sigterm(server), listener:
+        threading.Thread(target=_outlive_for_a_while, args=(server, os.getppid()), daemon=True).start()
+        import asyncio
+
+        asyncio.run(server._serve([listener]))
+
+
+@contextlib.contextmanager
+def _ended_by_sigterm(server: uvicorn.Server) -> Iterator[None]:
+    """Take the place of uvicorn's own handlers, which would end the server with every Ctrl-C of the print."""
+
+    def stop(number: int, frame: object) -> None:
+        server.should_exit = True
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _outlive_for_a_while(server: uvicorn.Server, parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    time.sleep(_LINGER_S)
+    server.should_exit = True

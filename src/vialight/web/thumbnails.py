@@ -1,0 +1,50 @@
+"""Small pictures of prints for the list of runs."""
+
+from __future__ import annotations
+
+import io
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vialight.errors import InputError
+from vialight.links import find_live_print
+from vialight.report import picture_of
+from vialight.store import list_history, list_surfaces, read_history, read_surface
+from vialight.web.catalogue import Run
+
+_PIXELS = 160
+
+
+def thumbnail(run: Run) -> bytes | None:
+    """Return the last surface of a run as PNG, or its newest projection; None where there is neither.
+
+    A print that runs is shown by its projection, which costs nothing.
+    """
+    surfaces, moments = list_surfaces(run.folder), list_history(run.folder)
+    if surfaces and not (moments and find_live_print(run.folder)):
+        return _drawn(run.folder, True, surfaces[-1])
+    return _drawn(run.folder, False, moments[-1]) if moments else None
+
+
+@lru_cache(maxsize=200)
+def _drawn(folder: Path, is_surface: bool, number: int) -> bytes | None:
+    from PIL import Image
+
+    try:
+        image = picture_of(read_surface(folder, number), _PIXELS) if is_surface else _projection(folder, number)
+    except InputError:
+        return None
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def _projection(folder: Path, number: int) -> NDArray[np.uint8]:
+    """Return what has gelled, seen along y, upright."""
+    seen = read_history(folder, number).cured.xz[::-1]
+    levels = np.sqrt(np.nan_to_num(seen) / max(float(np.nanmax(seen)), 1e-9)) * 235 + 20
+    step = max(1, -(-max(seen.shape) // _PIXELS))
+    return np.ascontiguousarray(levels[::step, ::step].astype(np.uint8))

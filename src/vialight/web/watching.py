@@ -1,0 +1,259 @@
+"""Watching a run for the pages that show it: mailboxes and folder are looked at, the newest message of a kind kept.
+
+Nothing is queued: a message takes the place of the one before, and a socket sends what is newest when its page has
+taken the last one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import logging
+import time
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Executor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TypeVar
+
+from vialight.errors import InputError
+from vialight.links import (
+    CameraImage,
+    LiveLink,
+    Mailbox,
+    PrintStatus,
+    Snapshot,
+    SurfaceSnapshot,
+    find_live_print,
+)
+from vialight.store import list_history, list_surfaces, to_json
+from vialight.web.catalogue import Run
+from vialight.web.data import RunData, grid_of, run_changed
+from vialight.web.reference import ViewGrid
+
+_T = TypeVar("_T")
+_LOG = logging.getLogger("vialight.web")
+
+CHANNELS = {
+    "state": ("status",),
+    "images": ("snapshot", "planes", "camera", "pattern", "reference"),
+    "surface": ("surface",),
+}
+"""Which kinds of message a socket of each name gets; apart, so that a mesh does not hold up what is said of Stop."""
+_LOOK_S = 0.02
+_HEARTBEAT_S = 0.25
+_FOLDER_S = 1.0
+
+
+class Board:
+    """The newest message of each kind, for sockets on the same event loop."""
+
+    def __init__(self) -> None:
+        self._newest: dict[str, tuple[int, str | bytes]] = {}
+        self._readers: dict[asyncio.Event, tuple[str, ...]] = {}
+
+    def publish(self, kind: str, message: str | bytes) -> None:
+        """Replace the newest message of a kind."""
+        number = self._newest.get(kind, (0, ""))[0] + 1
+        self._newest[kind] = number, message
+        for event, kinds in self._readers.items():
+            if kind in kinds:
+                event.set()
+
+    def clear(self, *kinds: str) -> None:
+        """Forget what is over, so that a page that comes later does not get it."""
+        for kind in kinds:
+            if kind in self._newest:
+                self._newest[kind] = self._newest[kind][0], ""
+
+    def newest(self, kind: str) -> tuple[int, str | bytes]:
+        """Return the number and the newest message; 0 and nothing where there is none."""
+        return self._newest.get(kind, (0, ""))
+
+    def enter(self, event: asyncio.Event, kinds: tuple[str, ...]) -> None:
+        """Set an event whenever one of the kinds is renewed."""
+        self._readers[event] = kinds
+
+    def leave(self, event: asyncio.Event) -> None:
+        """Stop doing so."""
+        self._readers.pop(event, None)
+
+    def is_read(self, kind: str) -> bool:
+        """Tell whether any socket wants a kind."""
+        return any(kind in kinds for kinds in self._readers.values())
+
+
+class _Reader:
+    """One mailbox of whichever print is live."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._box: Mailbox | None = None
+        self._number = 0
+
+    def newest(self, link: LiveLink) -> Any | None:
+        """Return the newest message that was not returned yet."""
+        path = Path(link.mailboxes) / self._name
+        if self._box is not None and self._box.path != path:
+            self._box.close()
+            self._box = None
+        if self._box is None:
+            if not path.exists():
+                return None
+            self._box, self._number = Mailbox(path), 0
+        found = self._box.newest(self._number)
+        if found is None:
+            return None
+        self._number, message = found
+        return message
+
+
+class RunWatch:
+    """Keeps a board up to date with a run while there are pages that read it.
+
+    Parameters
+    ----------
+    data
+        Of the run.
+    workers
+        Where reading and packing are done, so that the event loop stays free for Stop.
+    """
+
+    def __init__(self, data: RunData, workers: Executor) -> None:
+        self.data = data
+        self.board = Board()
+        self.link: LiveLink | None = None
+        self._workers = workers
+        self._tasks: list[asyncio.Task[None]] = []
+        self._seen: dict[str, float] = {}
+        self._status: PrintStatus | None = None
+        self._counts = {"moments": 0, "surfaces": 0, "log": 0}
+        self._changed = ""
+        self._grid: ViewGrid | None = None
+        self._pattern: int | None = -1
+
+    @property
+    def run(self) -> Run:
+        """The run that is watched."""
+        return self.data.run
+
+    def start(self) -> None:
+        """Begin to watch, on the running event loop."""
+        if self._tasks:
+            return
+        jobs: list[Callable[[], Coroutine[Any, Any, None]]] = [
+            self._watch_folder,
+            self._beat,
+            functools.partial(self._watch, "status", self._take_status),
+            functools.partial(self._watch, "snapshot", self._take_snapshot),
+            functools.partial(self._watch, "surface", self._take_surface),
+            functools.partial(self._watch, "camera", self._take_camera),
+            self._show_pattern,
+        ]
+        self._tasks = [asyncio.create_task(_for_ever(job)) for job in jobs]
+
+    async def stop(self) -> None:
+        """Stop watching."""
+        tasks, self._tasks = self._tasks, []
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _do(self, function: Callable[..., _T], *arguments: Any) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(self._workers, function, *arguments)
+
+    async def _watch_folder(self) -> None:
+        while True:
+            link, counts, changed = await self._do(_look_at, self.run.folder)
+            if self.link is not None and link != self.link:
+                self._forget()
+            self.link, self._counts, self._changed = link, counts, changed
+            await asyncio.sleep(_FOLDER_S if link else _FOLDER_S / 4)
+
+    def _forget(self) -> None:
+        self._status, self._pattern, self._grid = None, -1, None
+        self._seen.clear()
+        self.board.clear("snapshot", "planes", "camera", "pattern", "surface")
+
+    async def _beat(self) -> None:
+        while True:
+            self._publish_status()
+            await asyncio.sleep(_HEARTBEAT_S)
+
+    async def _watch(self, name: str, take: Callable[[Any], Coroutine[Any, Any, None]]) -> None:
+        reader = _Reader(name)
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            if self.link is None or not (name == "status" or self._is_wanted(name)):
+                continue
+            message = await self._do(reader.newest, self.link)
+            if message is not None:
+                self._seen[name] = time.monotonic()
+                await take(message)
+
+    def _is_wanted(self, name: str) -> bool:
+        return any(self.board.is_read(kind) for kind in ((name, "planes") if name == "surface" else (name,)))
+
+    async def _take_status(self, status: PrintStatus) -> None:
+        self._status = status
+        self._publish_status()
+
+    async def _take_snapshot(self, snapshot: Snapshot) -> None:
+        self.board.publish("snapshot", await self._do(self.data.snapshot, snapshot))
+        grid = grid_of(snapshot)
+        if grid != self._grid:
+            self._grid = grid
+            sums = await self._do(self.data.reference_sums, grid)
+            if sums is not None:
+                self.board.publish("reference", sums)
+
+    async def _take_surface(self, surface: SurfaceSnapshot) -> None:
+        self.board.publish("planes", await self._do(self.data.planes, surface))
+        self.board.publish("surface", await self._do(self.data.live_surface, surface))
+
+    async def _take_camera(self, image: CameraImage) -> None:
+        self.board.publish("camera", await self._do(self.data.camera, image))
+
+    async def _show_pattern(self) -> None:
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            status = self._status
+            if status is None or status.pattern == self._pattern or not self.board.is_read("pattern"):
+                continue
+            self._pattern = status.pattern
+            message = await self._do(self.data.pattern, status.pattern)
+            if message is not None:
+                self.board.publish("pattern", message)
+
+    def _publish_status(self) -> None:
+        now = time.monotonic()
+        message = {
+            "kind": "status",
+            "live": self.link is not None,
+            "status": None if self._status is None else asdict(self._status),
+            "ages_s": {name: round(now - seen, 3) for name, seen in self._seen.items()},
+            "counts": self._counts,
+            "changed": self._changed,
+        }
+        self.board.publish("status", to_json(message))
+
+
+def _look_at(folder: Path) -> tuple[LiveLink | None, dict[str, int], str]:
+    lines = 0
+    with contextlib.suppress(OSError):
+        lines = (folder / "log.jsonl").read_bytes().count(b"\n")
+    counts = {"moments": len(list_history(folder)), "surfaces": len(list_surfaces(folder)), "log": lines}
+    return find_live_print(folder), counts, run_changed(folder)
+
+
+async def _for_ever(job: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    """Do a job again after it failed: a page that is watched must not freeze for one bad message."""
+    while True:
+        try:
+            await job()
+        except InputError as error:
+            _LOG.info("%s", error)
+        except Exception:
+            _LOG.exception("while watching a run")
+        await asyncio.sleep(0.5)
