@@ -20,6 +20,9 @@ _FIELD_SHARES = (0.0, 0.5, 1.0)
 _CUBIC_STEPS = 1.5
 """After its last column an angle waits for the frame after the next, with which interpolation becomes cubic."""
 
+_ROUNDING_RAD = 1e-6
+"""Where frames and virtual angles coincide, rounding shall not decide with which frame an angle is due."""
+
 _AHEAD_STEPS = 4
 """A frame also changes, a little, rays of the older turn that lie up to two frames ahead of it."""
 
@@ -70,7 +73,7 @@ class Schedule:
             How many have come since the last time.
         """
         lag = self._lag(newest_rad, sense)
-        reached = np.searchsorted(self.lags_rad, lag, side="right")
+        reached = np.searchsorted(self.lags_rad - _ROUNDING_RAD, lag, side="right")
         due = (self.touched > 0) & (reached > self._done)
         late = np.flatnonzero((self.touched > 0) & ~due & (reached == len(self.lags_rad)))
         due[late[np.argsort(-lag[late])][: frames * _LATE_ROWS]] = True

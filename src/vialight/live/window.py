@@ -49,7 +49,7 @@ class WindowState:
     never_share
         Rays not seen yet, from neither side.
     frames_used
-        Frames that have gone in; late ones too, but not those that were too late or duplicates.
+        Frames that have gone in, with those that took another's place; not those that `add` left out.
     frames_in_turn
         Frames that the volume is made of.
     newest_angle_rad
