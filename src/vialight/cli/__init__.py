@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from vialight.cli.printing import print_command, watch_command
 from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
 from vialight.cli.tables import measurement_lines, plan_lines, reconstruction_lines, simulation_lines
 
@@ -285,3 +286,7 @@ def demo(out: Path, as_json: bool) -> None:
             second = measure_surface(out, sample / "part.stl", out, tolerance_mm=0.1)
         lines = [*reconstruction_lines(first, out), "", *measurement_lines(second, out)]
         show({"reconstruction": first, "measurement": second}, as_json, lambda: lines)
+
+
+main.add_command(print_command)
+main.add_command(watch_command)

@@ -66,14 +66,16 @@ def show(result: dict[str, Any], as_json: bool, lines: Callable[[], list[str]]) 
 
 
 @contextmanager
-def stopped_by_interrupt() -> Iterator[Callable[[], bool]]:
+def stopped_by_interrupt(
+    message: str = "stopping after this pass with the best so far",
+) -> Iterator[Callable[[], bool]]:
     """Yield a question that the first Ctrl-C answers with no; the second one interrupts as ever."""
     asked_to_stop = False
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal asked_to_stop
         asked_to_stop = True
-        click.echo("stopping after this pass with the best so far", err=True)
+        click.echo(message, err=True)
         signal.signal(signal.SIGINT, before)
 
     before = signal.signal(signal.SIGINT, stop)

@@ -75,3 +75,35 @@ def plan_lines(result: dict[str, Any], out: Path | None) -> list[str]:
     count, height, width = result["patterns"]["shape"]
     lines.append(f"{count} patterns of {height} x {width} pixels after {metrics['passes']} passes: {out}")
     return [*lines, f"report: {out.with_suffix('.html')}"]
+
+
+def print_lines(result: dict[str, Any], out: Path) -> list[str]:
+    """Say what was printed, who ended it and why, and how true it is."""
+    printed = result["printed"]
+    lines = [
+        f"light on        {printed['lit_s']:.1f} s, {printed['lit_turns']:.2f} turns; ended by {printed['ended_by']}",
+        f"frames          {printed['frames']}, {printed['frames_missed']} missed",
+    ]
+    if printed["forecast"]:
+        lines.append(f"forecast        {printed['forecast']['why']}")
+    if printed["fault"]:
+        lines.append(f"fault           {printed['fault']}")
+    lines += [f"written to      {out} in {result['elapsed_s']:.1f} s", ""]
+    if result["measured"] is None:
+        return [*lines, f"not measured    {result['why_not_measured']}"]
+    return [*lines, *measurement_lines(result["measured"], out)]
+
+
+def watch_lines(result: dict[str, Any]) -> list[str]:
+    """Say what a replay has shown, and how late."""
+    lines = [
+        f"frames          {result['frames']}, {result['snapshots']} snapshots",
+        f"latency         {1e3 * result['latency_p50_s']:.0f} ms median, {1e3 * result['latency_p95_s']:.0f} ms or less "
+        "in 95 % of snapshots, from a frame's arrival",
+        f"refraction      adds {result['refraction_delay_half_field_s']:.1f} s at half of the field, "
+        f"{result['refraction_delay_edge_s']:.1f} s at its edge",
+    ]
+    if result["rmse_mm"] is not None:
+        lines.append(f"at the end      RMSE {result['rmse_mm']:.3f} mm, reverse {result['reverse_rmse_mm']:.3f} mm, "
+                     f"IoU {result['iou']:.4f}")  # fmt: skip
+    return lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import time
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from vialight.plan import Plan
 from vialight.printing import PrintSettings, print_plan
 from vialight.store import read_plan, rig_to_toml, write_json, write_stl
 from vialight.twin import ResinModel, TwinSettings, find_rig, load_resin, resin_names
+from vialight.web import PageProcess
 
 RUN = "run.json"
 _DEFAULT_RESIN = "DUDMA"
@@ -98,6 +100,7 @@ def print_part(
     keep_going: Callable[[], bool] = lambda: True,
     on_status: Callable[[PrintStatus], None] = lambda status: None,
     on_step: Callable[[str], None] = lambda message: None,
+    serve: bool = False,
 ) -> dict[str, Any]:
     """Print a plan, record and measure it while it forms, and measure what came of it.
 
@@ -117,6 +120,8 @@ def print_part(
         Asked all the time; False ends the light at once and the print in its usual way.
     on_status, on_step
         Told how the print is doing, several times a second; and in words what is done besides.
+    serve
+        Show it in a browser, from a process of its own.
 
     Returns
     -------
@@ -138,7 +143,9 @@ def print_part(
     started = time.monotonic()
     result = job.write_to(run, settings)
     on_step("starting the printer")
-    with job.printer(run) as printer:
+    with job.printer(run) as printer, contextlib.ExitStack() as stack:
+        if serve:
+            on_step(f"open {stack.enter_context(PageProcess(run)).link}")
         watcher = LiveWatcher(job.live_settings(run, printer.folder, settings, model))
         try:
             printed = print_plan(

@@ -10,7 +10,16 @@
 from vialight.printing.light import LightKeeper
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder
-from vialight.printing.session import PrintSettings, Watcher, print_plan
+from vialight.printing.session import PrintSettings, Watcher, print_plan, stop_settings
 from vialight.printing.track import StageTrack
 
-__all__ = ["EventLog", "LightKeeper", "PrintSettings", "Recorder", "StageTrack", "Watcher", "print_plan"]
+__all__ = [
+    "EventLog",
+    "LightKeeper",
+    "PrintSettings",
+    "Recorder",
+    "StageTrack",
+    "Watcher",
+    "print_plan",
+    "stop_settings",
+]

@@ -67,6 +67,30 @@ class PrintSettings:
             raise InputError("frame rate", f"is {self.frame_rate_hz} /s", accepted="0.5 to 200")
 
 
+def stop_settings(stop: str, **others: float) -> PrintSettings:
+    """Return settings for ``auto``, ``manual`` or ``turns=N``.
+
+    Examples
+    --------
+    >>> stop_settings("turns=17").turns
+    17.0
+
+    Raises
+    ------
+    InputError
+        It is none of these.
+    """
+    if stop in ("auto", "manual"):
+        return PrintSettings("auto" if stop == "auto" else "manual", **others)
+    name, _, count = stop.partition("=")
+    try:
+        if name == "turns":
+            return PrintSettings("turns", float(count), **others)
+    except ValueError:
+        pass
+    raise InputError("--stop", f"is {stop!r}", accepted="auto, manual, turns=N", remedy="choose one")
+
+
 class Watcher(Protocol):
     """Sees the print while it forms; lives in processes of its own and reads what is recorded."""
 

@@ -70,7 +70,7 @@ class FrameTail:
             if self._is_live:
                 # Frames first: the writer adds them last, so that what is counted has its angle and time.
                 for dataset in (self._data, self._theta, self._time):
-                    dataset.id.refresh()
+                    dataset.refresh()
             stop = min(len(self._data), len(self._theta), len(self._time), self.read + limit)
             if stop <= self.read:
                 return None

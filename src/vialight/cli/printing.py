@@ -1,0 +1,131 @@
+"""`vialight print` and `vialight watch`: parsing and wiring only."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from vialight.cli.running import faults_told, show, stopped_by_interrupt
+from vialight.cli.tables import print_lines, watch_lines
+
+if TYPE_CHECKING:
+    from vialight.links import PrintStatus
+
+_FOLDER = click.Path(file_okay=False, path_type=Path)
+_FILE = click.Path(path_type=Path)
+_SHOW_EVERY_S = 0.5
+_LINE_EVERY_S = 30.0
+
+
+@click.command("print")
+@click.argument("plan", type=_FILE)
+@click.option("--rig", required=True, type=_FILE, help="The printer: TOML, or orth2022-145, orth2022-190.")
+@click.option("--out", required=True, type=_FOLDER, help="Folder for the run; it must not hold anything yet.")
+@click.option("--reference", type=_FILE, help="Mesh to compare with. [default: the part as planned]")
+@click.option(
+    "--stop", default="auto", show_default=True, metavar="auto|manual|turns=N",
+    help="Who ends it: the forecast from what is seen, you (Ctrl-C, or the page), or a number of turns.",
+)  # fmt: skip
+@click.option("--threshold", type=float, help="Gelation threshold I_p, counts per mm. [default: the rig's]")
+@click.option("--voxel", type=float, help="Edge of a live voxel, mm. [default: half a pixel]")
+@click.option("--every-deg", type=float, default=360.0, show_default=True, help="Keep a volume and a surface so often.")
+@click.option("--longest", type=float, default=40.0, show_default=True, help="Turns after which it ends in any case.")
+@click.option("--tolerance", type=float, help="Largest deviation allowed, mm: gives a verdict.")
+@click.option("--resin", help="Of the simulated printer: DUDMA, BPAGDA, or TOML. [default: the rig's]")
+@click.option("--rate", type=float, default=1.0, show_default=True, help="Of the simulated printer: times real time.")
+@click.option("--resin-voxel", type=float, default=0.15, show_default=True, help="Of the simulated resin, mm.")
+@click.option("--bin", "binning", type=int, default=1, show_default=True, help="Of the simulated camera: sum N x N.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the simulated noise.")
+@click.option("--serve", is_flag=True, help="Show it in a browser while it prints.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, alone on stdout.")
+def print_command(
+    plan: Path, rig: Path, out: Path, reference: Path | None, stop: str, threshold: float | None,
+    voxel: float | None, every_deg: float, longest: float, tolerance: float | None, resin: str | None, rate: float,
+    resin_voxel: float, binning: int, seed: int, serve: bool, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Print a PLAN, measured while it forms, on the devices that the rig names or else on the digital twin.
+
+    Ctrl-C turns the light off at once and then ends the print in its usual way; a second one gives up the rest.
+
+    \b
+    Example:
+      vialight print plan.h5 --rig orth2022-190 --out run
+      vialight print plan.h5 --rig orth2022-190 --out run --stop turns=17 --rate 4 --serve
+    """
+    with faults_told():
+        from vialight.commands.printing import LiveOptions, Simulation, print_part
+        from vialight.printing import stop_settings
+        from vialight.twin import TwinSettings
+
+        settings = stop_settings(stop, longest_turns=longest)
+        live = LiveOptions(reference, threshold, voxel, every_deg, tolerance)
+        simulation = Simulation(resin, rate, resin_voxel, binning, TwinSettings(seed=seed))
+        with stopped_by_interrupt("light off; ending the print") as keep_going:
+            result = print_part(
+                plan, rig, out, settings=settings, live=live, simulation=simulation, keep_going=keep_going,
+                on_status=status_line(), on_step=_say, serve=serve,
+            )  # fmt: skip
+        show(result, as_json, lambda: print_lines(result, out))
+
+
+@click.command("watch")
+@click.argument("run", type=_FOLDER)
+@click.option("--rate", type=float, default=1.0, show_default=True, help="Times real time.")
+@click.option("--out", type=_FOLDER, help="Folder for what is measured on the way. [default: none is kept]")
+@click.option("--threshold", type=float, help="Gelation threshold I_p, counts per mm. [default: the rig's]")
+@click.option("--voxel", type=float, help="Edge of a live voxel, mm. [default: half a pixel]")
+@click.option("--serve", is_flag=True, help="Show it in a browser.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, alone on stdout.")
+def watch_command(
+    run: Path, rate: float, out: Path | None, threshold: float | None, voxel: float | None, serve: bool, as_json: bool
+) -> None:
+    r"""Replay a RUN's recording as if it were live.
+
+    \b
+    Example:
+      vialight watch run --rate 4
+    """
+    with faults_told():
+        from vialight.commands.watching import watch_run
+
+        with stopped_by_interrupt("ending the replay") as keep_going:
+            result = watch_run(
+                run, rate=rate, out=out, threshold=threshold, voxel_mm=voxel, keep_going=keep_going,
+                on_status=status_line(), serve=serve, on_step=_say,
+            )  # fmt: skip
+        show(result, as_json, lambda: watch_lines(result))
+
+
+def _say(message: str) -> None:
+    click.echo(message, err=True)
+
+
+def status_line() -> Callable[[PrintStatus], None]:
+    """Return what shows how a print is doing: one line that changes on a terminal, else a line now and then."""
+    is_terminal = sys.stderr.isatty()
+    shown: dict[str, Any] = {"at": 0.0, "state": ""}
+
+    def tell(status: PrintStatus) -> None:
+        now = time.monotonic()
+        wait_s = _SHOW_EVERY_S if is_terminal else _LINE_EVERY_S
+        if now - shown["at"] < wait_s and status.state == shown["state"]:
+            return
+        shown["at"], shown["state"] = now, status.state
+        left = (
+            ""
+            if status.remaining_s is None or status.mode == "manual"
+            else f", at most {status.remaining_s:.0f} s left"
+        )
+        wrong = "; ".join(f"{name}: {told}" for name, told in status.devices.items() if told != "ok")
+        line = (
+            f"{status.state:<11}turn {status.turn:5.2f}, light {status.lit_s:5.1f} s{left}; {status.frames} frames, "
+            f"{status.missed} missed" + (f"; {wrong}" if wrong else "")
+        )
+        click.echo(f"\r{line[:118]:<118}" if is_terminal else line, err=True, nl=not is_terminal)
+
+    return tell

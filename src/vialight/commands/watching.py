@@ -1,0 +1,236 @@
+"""Replay a recording as if it were live."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vialight.arrays import TURN_RAD
+from vialight.config import Rig, load_rig
+from vialight.devices import SimulatedClock
+from vialight.devices.replay import ReplayCamera, ReplayStage
+from vialight.errors import InputError
+from vialight.links import LiveLink, Mailbox, PrintStatus, Snapshot, SurfaceSnapshot, shared_folder
+from vialight.live import LiveSettings, LiveWatcher
+from vialight.mesh import load_mesh
+from vialight.printing import EventLog, Recorder
+from vialight.store import FrameWriter, open_frames
+from vialight.viewing import columns_and_directions
+from vialight.web import PageProcess
+
+_TICK_S = 0.02
+_TAKEN_ALONG = ("rig.toml", "reference.stl", "plan.h5", "run.json", "projector.csv", "log.jsonl")
+
+
+def watch_run(
+    run: str | Path,
+    *,
+    rate: float = 1.0,
+    out: str | Path | None = None,
+    threshold: float | None = None,
+    voxel_mm: float | None = None,
+    serve: bool = False,
+    keep_going: Callable[[], bool] = lambda: True,
+    on_status: Callable[[PrintStatus], None] = lambda status: None,
+    on_step: Callable[[str], None] = lambda message: None,
+) -> dict[str, Any]:
+    """Replay the recording of a run as if it were live.
+
+    Parameters
+    ----------
+    run
+        A run's folder with ``frames.h5`` and ``rig.toml``; of a finished print, a dead one, or a simulated one.
+    rate
+        Times real time.
+    out
+        Folder for the history that is measured on the way; by default none is kept.
+    threshold, voxel_mm
+        See `vialight.commands.printing.LiveOptions`.
+    serve
+        Show it in a browser.
+    keep_going
+        Asked all the time; False ends the replay.
+    on_status, on_step
+        Told how it is doing.
+
+    Returns
+    -------
+    dict
+        How late snapshots were, from a frame's arrival, and what was seen at the end.
+
+    Raises
+    ------
+    InputError
+        The run cannot be read, or `out` holds something already.
+    """
+    run = Path(run)
+    rig = load_rig(run / "rig.toml")
+    threshold = rig.resin.threshold if threshold is None else threshold
+    if threshold is None:
+        raise InputError(f"{run / 'rig.toml'} [resin]", "has no threshold", remedy="give --threshold")
+    if not (np.isfinite(rate) and 0.01 <= rate <= 100):
+        raise InputError("--rate", f"is {rate}", accepted="0.01 to 100")
+    with _folder(out) as folder, _mailboxes() as boxes:
+        for name in _TAKEN_ALONG:
+            if (run / name).exists():
+                shutil.copyfile(run / name, folder / name)
+        clock = SimulatedClock(boxes / "clock", rate)
+        camera = ReplayCamera(run / "frames.h5", clock)
+        settings = LiveSettings(
+            folder, boxes, rig, threshold, _frames_per_turn(camera),
+            load_mesh(run / "reference.stl") if (run / "reference.stl").exists() else None, voxel_mm=voxel_mm,
+        )  # fmt: skip
+        replay = _Replay(run, folder, boxes, camera, clock, LiveWatcher(settings))
+        with contextlib.closing(camera), replay, contextlib.ExitStack() as stack:
+            LiveLink(os.getpid(), str(boxes), "", "").publish(folder)
+            if serve:
+                page = stack.enter_context(PageProcess(folder))
+                on_step(f"open {page.link}")
+            replay.play(keep_going, on_status)
+        return replay.record() | _refraction_delays(rig)
+
+
+class _Replay:
+    """Records anew what comes from a recording, and follows how it is watched."""
+
+    def __init__(
+        self, run: Path, folder: Path, boxes: Path, camera: ReplayCamera, clock: SimulatedClock, watcher: LiveWatcher
+    ) -> None:
+        self._camera, self._clock, self._watcher, self._folder = camera, clock, watcher, folder
+        self._stage = ReplayStage(camera, clock)
+        self._camera_box = Mailbox(boxes / "camera", 2**16 + 2 * int(np.prod(camera.image_shape)))
+        self._status_box = Mailbox(boxes / "status", 2**16)
+        self._snapshot_box: Mailbox | None = None
+        self._boxes = boxes
+        rate_hz = (camera.count - 1) / max(float(np.ptp(camera.times_s)), 1e-9) if camera.count > 1 else 10.0
+        self._recorder = Recorder(
+            camera, clock, rate_hz, self._stage.angle_at, EventLog(folder / "replay.jsonl", clock), self._camera_box.put
+        )
+        with open_frames(run / "frames.h5") as frames:
+            dark = frames.dark()
+        self._writer = FrameWriter(
+            folder / "frames.h5", camera.image_shape,
+            dark=None if dark is None else np.rint(dark).astype(np.uint16),
+        )  # fmt: skip
+        self._latencies: list[float] = []
+        self._seen = 0
+        self._last: SurfaceSnapshot | None = None
+        self._skipped = 0
+
+    def __enter__(self) -> _Replay:
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        self._recorder.close()
+        self._watcher.close()
+        LiveLink.withdraw(self._folder)
+
+    def play(self, keep_going: Callable[[], bool], on_status: Callable[[PrintStatus], None]) -> None:
+        """Hand out every frame at its time; time stands still after the first until the watcher follows."""
+        self._recorder.write_to(self._writer)
+        self._camera.start(0.0)
+        self._recorder.start()
+        while keep_going() and self._recorder.written == 0:
+            time.sleep(_TICK_S)
+        self._watcher.start()
+        while keep_going() and not self._watcher.is_ready() and not self._watcher.has_ended():
+            time.sleep(_TICK_S)
+        self._clock.allow_until(float("inf"))
+        status_at = 0.0
+        while keep_going() and not (self._camera.is_over and self._seen >= self._recorder.written):
+            time.sleep(_TICK_S / 4)
+            self._look()
+            if time.monotonic() - status_at > 10 * _TICK_S:
+                status_at = time.monotonic()
+                on_status(self._publish())
+        self._last = self._watcher.surface()
+
+    def _look(self) -> None:
+        if self._snapshot_box is None:
+            if not (self._boxes / "snapshot").exists():
+                return
+            self._snapshot_box = Mailbox(self._boxes / "snapshot")
+        found = self._snapshot_box.newest()
+        if found is not None and found[1].frames > self._seen:
+            snapshot: Snapshot = found[1]
+            self._skipped += snapshot.frames - self._seen - 1
+            self._seen = snapshot.frames
+            self._latencies.append(snapshot.latency_s)
+
+    def _publish(self) -> PrintStatus:
+        clock_s, began_s = self._clock.now_s(), self._camera.started_s
+        now, turned = clock_s - began_s, self._stage.angle_at(clock_s) - self._stage.angle_at(began_s)
+        status = PrintStatus(
+            state="replay", message="a recording, replayed", time_s=now, lit_s=0.0,
+            turn=abs(turned) / TURN_RAD,
+            remaining_s=max(0.0, float(self._camera.times_s[-1]) - now), mode="manual",
+            frames=self._recorder.written, missed=0, disk_free_bytes=shutil.disk_usage(self._folder).free,
+            disk_left_s=float("inf"), pattern=None, devices={"live": self._watcher.fault() or "ok"},
+        )  # fmt: skip
+        self._status_box.put(status)
+        return status
+
+    def record(self) -> dict[str, Any]:
+        """Return how late snapshots were, and what was seen at the end."""
+        late = np.array([value for value in self._latencies if np.isfinite(value)])
+        last = self._last
+        return {
+            "frames": self._recorder.written,
+            "snapshots": len(self._latencies),
+            "frames_without_snapshot": self._skipped,
+            "latency_p50_s": float(np.percentile(late, 50)) if len(late) else float("nan"),
+            "latency_p95_s": float(np.percentile(late, 95)) if len(late) else float("nan"),
+            "rmse_mm": None if last is None else last.rmse_mm,
+            "reverse_rmse_mm": None if last is None else last.reverse_rmse_mm,
+            "iou": None if last is None else last.iou,
+        }  # fmt: skip
+
+
+def _refraction_delays(rig: Rig) -> dict[str, float]:
+    """Return how much later than on the axis rays at half of the field, and at its edge, are complete, s."""
+    optics = rig.imaging_optics()
+    if optics is None:
+        return {"refraction_delay_half_field_s": 0.0, "refraction_delay_edge_s": 0.0}
+    reach = np.array([0.5, 0.999]) * optics.field_radius_mm
+    _, direction = columns_and_directions(reach, 0.0, rig.need_camera(), optics)
+    half, edge = np.abs(np.rad2deg(direction)) / rig.stage.speed_deg_s
+    return {"refraction_delay_half_field_s": float(half), "refraction_delay_edge_s": float(edge)}
+
+
+def _frames_per_turn(camera: ReplayCamera) -> int:
+    """Return the even number of frames that makes a turn, from the median step."""
+    steps = np.abs(np.diff(np.unwrap(camera.angles_rad)))
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if not 0 < step < np.pi / 2:
+        raise InputError("/exchange/theta", f"steps of {np.rad2deg(step):.3g} deg", accepted="a turning stage")
+    return max(4, 2 * round(np.pi / step))
+
+
+@contextlib.contextmanager
+def _folder(out: str | Path | None) -> Iterator[Path]:
+    if out is None:
+        with tempfile.TemporaryDirectory(prefix="vialight-watch-") as made:
+            yield Path(made)
+        return
+    folder = Path(out)
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError(out, "holds something already", accepted="a new folder", remedy="choose another name")
+    folder.mkdir(exist_ok=True)
+    yield folder
+
+
+@contextlib.contextmanager
+def _mailboxes() -> Iterator[Path]:
+    folder = shared_folder()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
