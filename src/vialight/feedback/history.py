@@ -10,8 +10,8 @@ from vialight.arrays import BoolArray, Float32Array, FloatArray, Grid, IntArray
 from vialight.errors import InputError
 from vialight.feedback.model import StopModel
 
-_SAMPLES_A_SIDE = 4
-"""Voxels of the live volume, at most, along each side of a place: 64 make noise small, more cost time."""
+_SAMPLES_A_SIDE = (2, 4)
+"""Least and most along each side of a place: two find the mean of the voxels that a place lies between."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def places(model: StopModel, grid: Grid) -> IntArray:
     InputError
         A place lies outside the grid.
     """
-    count = max(1, min(_SAMPLES_A_SIDE, round(model.size_mm / grid.voxel_mm)))
+    count = int(np.clip(round(2 * model.size_mm / grid.voxel_mm), *_SAMPLES_A_SIDE))
     spread = (np.arange(count) - (count - 1) / 2) * (model.size_mm / count)
     offsets = np.stack([axis.ravel() for axis in np.meshgrid(spread, spread, spread, indexing="ij")], axis=1)
     at = (model.points_mm[:, None] + offsets)[..., ::-1]

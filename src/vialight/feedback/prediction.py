@@ -35,11 +35,11 @@ TOO_EARLY = 4.0
 """Places seen to cure in less than this share of the nominal time are dust or bubbles, not resin, and not watched."""
 LEAST_BLOCKS = 12
 """Blocks that must have been seen to cure before a stop is acted on."""
-LEAST_SHARE = 0.03
-"""Share of the places that must have been."""
+FIRST_SHARE, SURE_SHARE = 0.03, 0.3
+"""Shares of the places that must have been: when they agree with the model to within `FIRST_NOISE`, and at any rate."""
 
 _PULL = 2.5
-_STEPS = 10
+_STEPS_TO_U, _STEPS = 3, 10
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,8 @@ def predict(model: StopModel, history: StopHistory) -> StopPrediction:
     best_s, sigma_s, sensitivity = float(np.exp(fit.ln_stop)), fit.sigma * float(np.exp(fit.ln_stop)), np.exp(fit.u)
     stop_s = _even_enough(best_s, model)
     blocks_seen, blocks_used = (len(np.unique(model.block[which])) for which in (seen, used))
-    is_ready = blocks_seen >= min(LEAST_BLOCKS, blocks_used) and seen.sum() >= LEAST_SHARE * used.sum()
+    least = FIRST_SHARE if fit.noise <= FIRST_NOISE else SURE_SHARE
+    is_ready = blocks_seen >= min(LEAST_BLOCKS, blocks_used) and seen.sum() >= least * used.sum()
     why = (
         f"{seen.sum()} of {used.sum()} places have cured, as in resin {sensitivity:.3f} times as sensitive as nominal, "
         f"each to {100 * fit.noise:.1f} %; shape best after {best_s:.1f} +- {sigma_s:.1f} s of light, dose even enough "
@@ -144,13 +145,14 @@ def _fit(model: StopModel, history: StopHistory, used: BoolArray) -> _Fit:
     block = model.block[used]
     share = 1 / np.bincount(block)[block]
     u, noise = _first_guess(ln_s, ln_cross, observed), FIRST_NOISE
-    for _ in range(_STEPS):
+    for step in range(_STEPS):
         expected, slope = _at(u, ln_s, ln_cross)
         error, weight, square = _errors(observed, expected, ln_now, noise)
         pull = slope * share / noise**2
         precision = SENSITIVITY_SPREAD**-2 + float(pull @ (weight * slope))
         u += float(np.clip((float(pull @ error) - u / SENSITIVITY_SPREAD**2) / precision, -0.2, 0.2))
-        noise = max(LEAST_NOISE, float(np.sqrt(np.average(square, weights=share))))
+        if step >= _STEPS_TO_U:  # a first guess that is far off is not noise
+            noise = max(LEAST_NOISE, float(np.sqrt(np.average(square, weights=share))))
     ln_stop, stop_slope = (float(value[0]) for value in _at(u, ln_s, np.log(model.stop_s[:, None])))
     variance = stop_slope**2 / precision + _misfit(error, block, expected, ln_now, noise) ** 2 + MODEL_ERROR**2
     for doubt in model.doubts:
@@ -162,7 +164,8 @@ def _fit(model: StopModel, history: StopHistory, used: BoolArray) -> _Fit:
 def _first_guess(ln_s: FloatArray, ln_cross: FloatArray, observed: FloatArray) -> float:
     """Return u at which half of what has been seen was to be expected as early."""
     late = np.nanmedian(observed - ln_cross, axis=1)  # rises with sensitivity
-    return float(np.interp(0.0, late, ln_s))
+    guess, _ = _at(0.0, late, ln_s[:, None])
+    return float(guess[0])
 
 
 def _at(u: float, ln_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
