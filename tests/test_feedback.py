@@ -46,17 +46,21 @@ def seen_until(now_s: float, crossing_s: FloatArray) -> StopHistory:
     return StopHistory(now_s, np.zeros(len(crossing_s)), np.where(crossing_s <= now_s, crossing_s, np.nan))
 
 
-@pytest.mark.parametrize("share_cured", [0.05, 0.3, 0.9])
+# Of few places it is not known yet whether they are early or scatter little: noise of 1.5 % where 2 % is assumed at
+# first moves the twentieth that is seen first by up to 1.6 times the difference.
+@pytest.mark.parametrize(("share_cured", "within"), [(0.05, 0.01), (0.3, 0.005), (0.9, 0.003)])
 @pytest.mark.parametrize("sensitivity", [0.55, 0.7, 1.0, 1.4, 1.9])
-def test_the_sensitivity_is_found_from_those_places_that_have_cured(sensitivity: float, share_cured: float) -> None:
+def test_the_sensitivity_is_found_from_those_places_that_have_cured(
+    sensitivity: float, share_cured: float, within: float
+) -> None:
     nominal = spread_times()
     model = model_of(nominal)
     noise = np.exp(0.015 * np.random.default_rng(3).normal(size=len(nominal)))
     crossing = nominal / sensitivity * noise
     found = predict(model, seen_until(float(np.quantile(crossing, share_cured)), crossing))
     assert found.is_ready
-    assert found.sensitivity == pytest.approx(sensitivity, rel=0.006)
-    assert found.best_s == pytest.approx(1.03 * np.median(nominal) / sensitivity, rel=0.006)
+    assert found.sensitivity == pytest.approx(sensitivity, rel=within)
+    assert found.best_s == pytest.approx(1.03 * np.median(nominal) / sensitivity, rel=within)
 
 
 def test_places_not_seen_yet_hold_back_those_that_noise_let_cross_early() -> None:
@@ -65,7 +69,7 @@ def test_places_not_seen_yet_hold_back_those_that_noise_let_cross_early() -> Non
     now = float(np.quantile(crossing, 0.05))
     as_seen_alone = np.median(nominal[crossing <= now] / crossing[crossing <= now])
     assert as_seen_alone > 1.03
-    assert predict(model_of(nominal), seen_until(now, crossing)).sensitivity == pytest.approx(1.0, abs=0.006)
+    assert predict(model_of(nominal), seen_until(now, crossing)).sensitivity == pytest.approx(1.0, abs=0.01)
 
 
 def test_places_that_cure_at_any_other_time_pull_little() -> None:
