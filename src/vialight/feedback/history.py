@@ -40,7 +40,7 @@ def fresh_history(model: StopModel) -> StopHistory:
 
 
 def places(model: StopModel, grid: Grid) -> IntArray:
-    """Return (place, sample) flat indices of the voxels of a live volume (z, y, x) that make up each place.
+    """Return (axis, place, sample) indices of the voxels of a live volume (z, y, x) that make up each place.
 
     Computed once before the print, used by `sample` with every snapshot.
 
@@ -60,15 +60,13 @@ def places(model: StopModel, grid: Grid) -> IntArray:
             "stop model", f"watches {int((~inside.any(axis=1)).sum())} places that the camera does not see",
             accepted="a part within the camera's field", remedy="check rig and plan, or use --stop manual",
         )  # fmt: skip
-    index = np.clip(index, 0, np.array(grid.shape) - 1)
-    return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), grid.shape), dtype=np.int64)
+    return np.ascontiguousarray(np.moveaxis(np.clip(index, 0, np.array(grid.shape) - 1), -1, 0))
 
 
 def sample(density: Float32Array, indices: IntArray) -> FloatArray:
     """Return (place,) the mean density of each place; `indices` are those of `places` for the volume's grid."""
-    # Not `density.reshape(-1)`, which would copy a live volume: that lies in memory with z innermost.
-    chosen = density[np.unravel_index(indices, density.shape)]
-    return np.asarray(chosen.mean(axis=1, dtype=np.float64))
+    z, y, x = indices
+    return np.asarray(density[z, y, x].mean(axis=1, dtype=np.float64))
 
 
 def observe(history: StopHistory, density: FloatArray, lit_s: float, threshold: float) -> StopHistory:

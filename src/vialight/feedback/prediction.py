@@ -29,8 +29,9 @@ FIRST_NOISE = 0.02
 """Standard deviation of the logarithm of a place's time, to begin with."""
 LEAST_NOISE = 0.01
 """The same, at least."""
-MODEL_ERROR = 0.007
-"""Standard deviation of ln(t_stop) when all crossings are explained: of the least error of a rehearsal's stops."""
+MODEL_ERROR = 0.01
+"""Standard deviation of ln(t_stop) when all crossings are explained: how far a rehearsal's own best stop is off, mostly
+for its coarse voxels."""
 TOO_EARLY = 4.0
 """Places seen to cure in less than this share of the nominal time are dust or bubbles, not resin, and not watched."""
 LEAST_BLOCKS = 12
