@@ -10,7 +10,7 @@ from vialight.arrays import BoolArray, Float32Array, FloatArray, Grid, IntArray
 from vialight.errors import InputError
 from vialight.feedback.model import StopModel
 
-_SAMPLES_A_SIDE = (2, 4)
+_SAMPLES_A_SIDE = (2, 3)
 """Least and most along each side of a place: two find the mean of the voxels that a place lies between."""
 
 
