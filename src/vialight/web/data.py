@@ -33,6 +33,10 @@ _WIDEST = 640
 """Columns of a picture of camera or projector as it is shown; more are averaged."""
 
 
+_GHOST_FACES = 60_000
+"""Enough for what is only hinted at."""
+
+
 class RunData:
     """A run's content as the page wants it; every method may be called from any thread.
 
@@ -63,7 +67,9 @@ class RunData:
     def reference_surface(self) -> bytes | None:
         """Return the reference as a message of the kind ``ghost``."""
         mesh = self.reference()
-        return None if mesh is None else pack_surface({"kind": "ghost"}, mesh.vertices_mm, mesh.faces)
+        if mesh is None:
+            return None
+        return pack_surface({"kind": "ghost"}, mesh.vertices_mm, mesh.faces, most_faces=_GHOST_FACES)
 
     def reference_sums(self, grid: ViewGrid | None = None) -> bytes | None:
         """Return the reference's sum projections on a grid, by default that of the newest moment."""

@@ -21,7 +21,7 @@ from vialight.store import to_json
 
 _ALIGN = 8
 _LEVELS = 254
-_MOST_FACES = 600_000
+MOST_FACES = 600_000
 """Of a mesh that is sent as it is; a browser on a tablet turns so many."""
 
 
@@ -134,6 +134,8 @@ def pack_surface(
     vertices_mm: NDArray[Any],
     faces: NDArray[Any],
     deviation_mm: NDArray[Any] | None = None,
+    *,
+    most_faces: int = MOST_FACES,
 ) -> bytes:
     """Return a surface as a message: vertices in 16 bits of the extent, normals, faces, deviations.
 
@@ -147,10 +149,12 @@ def pack_surface(
         (face, corner).
     deviation_mm
         (vertex,); empty or None where there is no reference.
+    most_faces
+        About how many are sent; a finer mesh is simplified, and the header says so.
     """
-    is_simplified = len(faces) > _MOST_FACES
+    is_simplified = len(faces) > most_faces
     if is_simplified:
-        vertices_mm, faces, deviation_mm = _clustered(vertices_mm, faces, deviation_mm)
+        vertices_mm, faces, deviation_mm = _clustered(vertices_mm, faces, deviation_mm, most_faces)
     vertices = np.asarray(vertices_mm, dtype=np.float32)
     corners = np.ascontiguousarray(faces, dtype=np.uint32)
     low = vertices.min(axis=0) if len(vertices) else np.zeros(3, np.float32)
@@ -182,12 +186,14 @@ def _normals(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDArra
 
 
 def _clustered(
-    vertices_mm: NDArray[Any], faces: NDArray[Any], deviation_mm: NDArray[Any] | None
+    vertices_mm: NDArray[Any], faces: NDArray[Any], deviation_mm: NDArray[Any] | None, most_faces: int
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any] | None]:
     """Merge what lies in one cell of a grid, so that a large mesh can be looked at; never measured on."""
     low, high = vertices_mm.min(axis=0), vertices_mm.max(axis=0)
-    # A surface of n faces has some n / 2 vertices, and crosses cells as its area does.
-    cell = float(np.max(high - low)) / math.sqrt(_MOST_FACES / 6)
+    a, b, c = (vertices_mm[faces[:, corner]] for corner in range(3))
+    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    # A surface crosses some 1.5 cells for each square of a cell's edge of its area, and has two faces for each.
+    cell = max(math.sqrt(3 * area / most_faces), 1e-6 * float(np.max(high - low)))
     keys = np.floor((vertices_mm - low) / cell).astype(np.int64)
     flat = (keys[:, 0] << 42) | (keys[:, 1] << 21) | keys[:, 2]
     _, first, of_vertex = np.unique(flat, return_index=True, return_inverse=True)

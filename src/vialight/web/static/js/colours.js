@@ -32,6 +32,13 @@ export function roundUp(value) {
   return [1, 2, 5, 10].map((step) => step * power).find((step) => step >= value * (1 - 1e-9));
 }
 
+// The same in finer steps, for amounts: a picture should use most of its colours.
+export function roundUpFinely(value) {
+  if (!(value > 0)) return 1e-3;
+  const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
+  return [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10].map((step) => step * power).find((step) => step >= value * (1 - 1e-9));
+}
+
 // A colour bar with its ends named.
 export function drawRamp(canvas, colours, low, high, unit) {
   const { context, width, height } = fit(canvas);
@@ -52,7 +59,8 @@ export function drawRamp(canvas, colours, low, high, unit) {
   context.fillText(unit, width / 2, 14);
 }
 
-// Match a canvas to its place on the screen; drawing is then in CSS pixels.
+// Match a canvas to its place on the screen; drawing is then in CSS pixels.  Small pictures that change often are drawn
+// by the processor: the graphics processor has the surface to draw.
 export function fit(canvas) {
   const scale = window.devicePixelRatio || 1;
   const width = canvas.clientWidth || 1;
@@ -61,7 +69,7 @@ export function fit(canvas) {
     canvas.width = Math.round(width * scale);
     canvas.height = Math.round(height * scale);
   }
-  const context = canvas.getContext("2d");
+  const context = canvas.getContext("2d", { willReadFrequently: true });
   context.setTransform(scale, 0, 0, scale, 0, 0);
   return { context, width, height };
 }

@@ -61,8 +61,8 @@ class Chart {
     this.axes(context, { x, y, start, end, low, high, width, height });
     if (this.band) this.drawBand(context, x, y);
     for (const line of this.series) this.drawLine(context, line, x, y);
-    const marked = this.pointer != null ? start + (this.pointer - MARGIN.left) / (width - MARGIN.left - MARGIN.right) * (end - start)
-      : this.cursorS;
+    const pointed = (this.pointer - MARGIN.left) / (width - MARGIN.left - MARGIN.right);
+    const marked = this.pointer != null ? start + pointed * (end - start) : this.cursorS;
     if (marked != null) {
       const row = this.nearest(marked);
       context.strokeStyle = "#e4e8ef88";
@@ -91,14 +91,17 @@ class Chart {
     const along = ticks(start, end, Math.max(2, width / 90));
     context.textAlign = "center";
     context.textBaseline = "top";
-    along.found.forEach((time, index) => context.fillText(`${number(time, along.digits)}${index === along.found.length - 1 ? " s" : ""}`,
-      Math.min(x(time), width - 14), height - MARGIN.bottom + 5));
+    const name = ({ found, digits }, index, unit) => number(found[index], digits) + (index === found.length - 1 ? unit : "");
+    along.found.forEach((time, index) => {
+      context.fillText(name(along, index, " s"), Math.min(x(time), width - 14), height - MARGIN.bottom + 5);
+    });
     if (!this.degreesPerSecond) return;
     const perTurn = 360 / this.degreesPerSecond;
     const turns = ticks(start / perTurn, end / perTurn, Math.max(2, width / 110));
     context.textBaseline = "bottom";
-    turns.found.forEach((turn, index) => context.fillText(`${number(turn, turns.digits)}${index === turns.found.length - 1 ? " turns" : ""}`,
-      Math.min(x(turn * perTurn), width - 24), MARGIN.top - 5));
+    turns.found.forEach((turn, index) => {
+      context.fillText(name(turns, index, " turns"), Math.min(x(turn * perTurn), width - 24), MARGIN.top - 5);
+    });
   }
 
   drawLine(context, { key, colour, dash = [] }, x, y) {
@@ -124,20 +127,23 @@ class Chart {
     const known = this.rows.filter((row) => row[key] !== null && row[this.band] !== null);
     context.fillStyle = `${colour}33`;
     context.beginPath();
-    known.forEach((row) => context.lineTo(x(row.time_s), y(row[key] + Math.min(row[this.band], Math.abs(row[key])))));
-    known.reverse().forEach((row) => context.lineTo(x(row.time_s), y(row[key] - Math.min(row[this.band], Math.abs(row[key])))));
+    const around = (row) => Math.min(row[this.band], Math.abs(row[key]));
+    known.forEach((row) => context.lineTo(x(row.time_s), y(row[key] + around(row))));
+    known.reverse().forEach((row) => context.lineTo(x(row.time_s), y(row[key] - around(row))));
     context.fill();
   }
 
   nearest(time) {
-    return this.rows.reduce((best, row) => (Math.abs(row.time_s - time) < Math.abs(best.time_s - time) ? row : best));
+    const off = (row) => Math.abs(row.time_s - time);
+    return this.rows.reduce((best, row) => (off(row) < off(best) ? row : best));
   }
 
   say(row) {
-    const text = row === null ? NONE : `${number(row.time_s, 0)} s: ${this.series.map(({ key, name, digits = 3 }) => {
-      const around = this.band && row[this.band] !== null ? ` \u00b1 ${number(row[this.band], 1)}` : "";
-      return `${name} ${number(row[key], digits)}${around}`;
-    }).join(", ")}`;
+    const words = this.series.map(({ key, name, digits = 3 }, index) => {
+      const isBand = index === 0 && this.band && row?.[this.band] != null;
+      return row && `${name} ${number(row[key], digits)}${isBand ? ` \u00b1 ${number(row[this.band], 1)}` : ""}`;
+    });
+    const text = row === null ? NONE : `${number(row.time_s, 0)} s: ${words.join(", ")}`;
     if (this.readout.textContent !== text) this.readout.textContent = text;
     this.canvas.setAttribute("aria-label", `${this.title} over time; ${text} ${this.unit}`);
   }

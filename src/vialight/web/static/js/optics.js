@@ -9,7 +9,7 @@ const AXIS = "#8fb0ff";
 function grey(source, image, level) {
   const [rows, columns] = image.shape;
   [source.width, source.height] = [columns, rows];
-  const context = source.getContext("2d");
+  const context = source.getContext("2d", { willReadFrequently: true });
   const pixels = context.createImageData(columns, rows);
   const words = new Uint32Array(pixels.data.buffer);
   const table = Uint32Array.from({ length: 256 }, (_, index) => {
@@ -40,7 +40,8 @@ export class CameraView {
     this.redraw();
     const legend = this.overlay?.edge_columns ? "yellow: the vial's edges, blue: the axis, as the rig has them"
       : this.overlay ? "blue: the axis, as the rig has it" : "the run holds no rig";
-    this.caption.textContent = `Frame ${header.frame}, stage at ${number(((header.angle_deg % 360) + 360) % 360, 0)}\u00b0; ${legend}`;
+    const angle = ((header.angle_deg % 360) + 360) % 360;
+    this.caption.textContent = `Frame ${header.frame}, stage at ${number(angle, 0)}\u00b0; ${legend}`;
   }
 
   redraw() {

@@ -1,6 +1,6 @@
 // Images of the object: sum projections, slices, gel times; all to one scale, with scale bars.
 
-import { cividis, drawRamp, fit, roundUp } from "./colours.js";
+import { cividis, drawRamp, fit, roundUpFinely } from "./colours.js";
 import { element, number } from "./text.js";
 
 const PLANES = ["xy", "xz", "yz"];
@@ -42,14 +42,20 @@ export class Picture {
       const place = 3 * Math.round(255 * Math.min(1, Math.max(0, (value - low) / Math.max(high - low, 1e-12))));
       table[level] = 0xff000000 | colours[place + 2] << 16 | colours[place + 1] << 8 | colours[place];
     }
-    const context = this.source.getContext("2d");
+    const context = this.source.getContext("2d", { willReadFrequently: true });
     const pixels = context.createImageData(columns, rows);
     const words = new Uint32Array(pixels.data.buffer);
     for (let row = 0; row < rows; row += 1) {
       const from = (rows - 1 - row) * columns;
-      for (let column = 0; column < columns; column += 1) words[row * columns + column] = table[image.values[from + column]];
+      const to = row * columns;
+      for (let column = 0; column < columns; column += 1) words[to + column] = table[image.values[from + column]];
     }
     context.putImageData(pixels, 0, 0);
+  }
+
+  clear() {
+    const { context, width, height } = fit(this.canvas);
+    context.clearRect(0, 0, width, height);
   }
 
   show() {
@@ -89,7 +95,8 @@ export class Projections {
     this.scale = { density: 0, reference: 0 };
     for (const [kind, parent] of Object.entries(columns)) {
       this.pictures[kind] = {};
-      for (const plane of PLANES) this.pictures[kind][plane] = new Picture(parent, plane, parent.querySelector("h3").textContent);
+      const what = parent.querySelector("h3").textContent;
+      for (const plane of PLANES) this.pictures[kind][plane] = new Picture(parent, plane, what);
       this.ramps[kind] = element("canvas", { className: "ramp" });
       this.ramps[kind].setAttribute("role", "img");
       parent.append(this.ramps[kind]);
@@ -100,6 +107,7 @@ export class Projections {
   reset() {
     this.scale = { density: 0, reference: 0 };
     this.last = {};
+    for (const ofKind of Object.values(this.pictures)) for (const picture of Object.values(ofKind)) picture.clear();
     this.grid = null;
   }
 
@@ -107,11 +115,14 @@ export class Projections {
     if (header.voxel_mm) this.grid = { voxelMm: header.voxel_mm };
     this.last = { ...this.last, ...arrays };
     const known = Object.keys(this.pictures).filter((kind) => arrays[`${kind}_xy`]);
-    const widest = Math.max(...PLANES.map((plane) => (this.last[`density_${plane}`] ?? this.last[`reference_${plane}`])
-      ?.shape[1] ?? 1)) * this.grid.voxelMm;
+    const { voxelMm } = this.grid;
+    const any = (plane) => this.last[`density_${plane}`] ?? this.last[`reference_${plane}`];
+    const widest = Math.max(...PLANES.map((plane) => any(plane)?.shape[1] ?? 1)) * voxelMm;
     for (const kind of known) {
       const [low, high] = this.range(kind, arrays);
-      for (const plane of PLANES) this.pictures[kind][plane].draw(arrays[`${kind}_${plane}`], this.grid.voxelMm, low, high, widest);
+      for (const plane of PLANES) {
+        this.pictures[kind][plane].draw(arrays[`${kind}_${plane}`], voxelMm, low, high, widest);
+      }
       const unit = kind === "density" ? "counts" : "mm of path";
       const text = kind === "density" ? number(high, 0) : number(high, high < 1 ? 2 : 0);
       drawRamp(this.ramps[kind], cividis, "0", text, unit);
@@ -122,7 +133,7 @@ export class Projections {
   // Thresholded print and reference share a scale; all scales only grow, so that colours keep their meaning.
   range(kind, arrays) {
     const of = kind === "density" ? "density" : "reference";
-    const high = roundUp(Math.max(...PLANES.map((plane) => arrays[`${kind}_${plane}`].high)));
+    const high = roundUpFinely(Math.max(...PLANES.map((plane) => arrays[`${kind}_${plane}`].high)));
     this.scale[of] = Math.max(this.scale[of], high);
     return [0, this.scale[of]];
   }
@@ -142,6 +153,7 @@ export class MiddlePlanes {
 
   reset() {
     this.last = {};
+    for (const picture of Object.values(this.pictures)) picture.clear();
   }
 
   show(arrays, voxelMm) {
@@ -157,7 +169,7 @@ export class MiddlePlanes {
     const widest = Math.max(...images.map((image) => image.shape[1])) * this.voxelMm;
     const isGel = kind === "gel";
     const low = isGel ? images[0].low : 0;
-    const high = isGel ? images[0].high : roundUp(Math.max(...images.map((image) => image.high)));
+    const high = isGel ? images[0].high : roundUpFinely(Math.max(...images.map((image) => image.high)));
     PLANES.forEach((plane, index) => this.pictures[plane].draw(images[index], this.voxelMm, low, high, widest));
     const unit = isGel ? "lit seconds at gelation" : "counts per mm";
     drawRamp(this.rampCanvas, cividis, number(low, 0), number(high, 0), unit);

@@ -47,8 +47,8 @@ export class Results {
     facts($("results-numbers"), rows);
     const files = run.files.filter((name) => FILES[name]).map((name) => element("a", {
       href: `/api/runs/${run.key}/files/${name}`, textContent: FILES[name] }));
-    const report = run.files.includes("report.html")
-      ? [element("a", { href: `/api/runs/${run.key}/report`, target: "_blank", rel: "noopener", textContent: "Open the report" })] : [];
+    const report = run.files.includes("report.html") ? [element("a", {
+      href: `/api/runs/${run.key}/report`, target: "_blank", rel: "noopener", textContent: "Open the report" })] : [];
     $("results-links").replaceChildren(...report, ...files);
     $("timelapse-button").hidden = run.surfaces < 2;
     $("timelapse-answer").textContent = "";
@@ -79,6 +79,8 @@ export class Results {
       answer.textContent = state.total ? `drawing, ${state.done} of ${state.total}` : "drawing";
       this.timer = setTimeout(() => this.askTimelapse(), 700);
     } else if (state.state === "failed") answer.textContent = state.error;
-    else if (state.state === "done") answer.replaceChildren(element("a", { href: `${this.path()}.mp4`, textContent: "Time-lapse, MP4" }));
+    else if (state.state === "done") {
+      answer.replaceChildren(element("a", { href: `${this.path()}.mp4`, textContent: "Time-lapse, MP4" }));
+    }
   }
 }

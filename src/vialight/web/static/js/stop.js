@@ -53,8 +53,8 @@ export class Stop {
     const sinceMs = performance.now() - this.pressedAt;
     if (sinceMs < 900) return;
     if (!this.isAnswered) this.send();
-    this.answer.textContent = `Not confirmed for ${number(sinceMs / 1000, 0)} s: ${this.fault || "the projector still shows light"}. `
-      + "If in doubt, switch the light off at the printer.";
+    const why = this.fault || "the projector still shows light";
+    this.answer.textContent = `Not confirmed for ${number(sinceMs / 1000, 0)} s: ${why}. If in doubt, switch off at the printer.`;
     if (sinceMs > GIVE_UP_MS) {
       clearInterval(this.timer);
       this.button.textContent = "Stop";
@@ -66,8 +66,8 @@ export class Stop {
   see(isLive, status) {
     this.button.disabled = !isLive;
     const isBlack = !isLive || (status !== null && status.pattern === null && status.state !== "printing");
-    const isDark = isLive && status !== null && ["after", "finishing"].includes(status.state) && status.pattern === null;
-    if (this.pressedAt !== null && !this.isConfirmed && isBlack && (this.isAnswered || isDark || !isLive)) {
+    const isObeyed = this.isAnswered || !isLive || ["after", "finishing"].includes(status?.state);
+    if (this.pressedAt !== null && !this.isConfirmed && isBlack && isObeyed) {
       this.isConfirmed = true;
       clearInterval(this.timer);
       const seconds = (performance.now() - this.pressedAt) / 1000;

@@ -12,7 +12,7 @@ export class SurfaceView {
   constructor(canvas, ramp) {
     Object.assign(this, { canvas, ramp, limitMm: null, isPlaced: false, cut: 0.5 });
     try {
-      this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+      this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !isSoftware() });
     } catch {
       $("surface-notice").textContent = "This browser has no WebGL: the surface cannot be shown.";
       return;
@@ -32,7 +32,7 @@ export class SurfaceView {
     this.controls.addEventListener("change", () => this.ask());
     this.solid = this.mesh(new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide }));
     this.ghost = this.mesh(new THREE.MeshLambertMaterial({
-      color: 0xb9c6dc, transparent: true, opacity: 0.16, depthWrite: false, side: THREE.DoubleSide }));
+      color: 0xd5def0, transparent: true, opacity: 0.22, depthWrite: false, side: THREE.DoubleSide }));
     this.ghost.renderOrder = 1;
     new ResizeObserver(() => this.ask()).observe(canvas);
     this.listen();
@@ -128,8 +128,9 @@ export class SurfaceView {
     const limit = Number($("limit").value) || roundUp(this.header?.limit_mm ?? 0.1);
     const sign = "\u2212";
     drawRamp(this.ramp, COLOURS, `${sign}${limit} mm, missing`, `+${limit} mm, too much`, "0");
-    this.ramp.setAttribute("aria-label", `Deviation from ${sign}${limit} mm, blue, material is missing, to +${limit} mm, red`);
-    if (!this.header || !this.solid.geometry.attributes.position) return;
+    const ends = [`${sign}${limit} mm, blue, material is missing`, `+${limit} mm, red`];
+    this.ramp.setAttribute("aria-label", `Deviation from ${ends.join(" to ")}`);
+    if (!this.header || !this.solid?.geometry.attributes.position) return;
     const count = this.solid.geometry.attributes.position.count;
     const colours = new Uint8Array(3 * count).fill(190);
     if (this.deviation) {
@@ -155,14 +156,27 @@ export class SurfaceView {
     const box = this.bounds();
     if (box.isEmpty()) return;
     this.isPlaced = true;
-    const radius = box.getSize(new THREE.Vector3()).length() / 2;
-    const distance = 1.12 * radius / Math.sin(THREE.MathUtils.degToRad(this.camera.fov / 2));
     box.getCenter(this.controls.target);
+    const distance = 1.06 * this.distanceFor(box);
     this.camera.position.copy(this.controls.target).addScaledVector(START, distance);
     [this.camera.near, this.camera.far] = [distance / 100, distance * 10];
     this.camera.updateProjectionMatrix();
     this.controls.update();
     this.ask();
+  }
+
+  // How far the camera must be to have all corners of a box in its picture.
+  distanceFor(box) {
+    const turn = new THREE.Matrix4().lookAt(START, new THREE.Vector3(), this.camera.up).invert();
+    const rise = Math.tan(THREE.MathUtils.degToRad(this.camera.fov / 2));
+    const centre = box.getCenter(new THREE.Vector3());
+    let farthest = 0;
+    for (let corner = 0; corner < 8; corner += 1) {
+      const at = new THREE.Vector3(...["x", "y", "z"].map((axis, bit) => box[corner >> bit & 1 ? "max" : "min"][axis]));
+      at.sub(centre).applyMatrix4(turn);
+      farthest = Math.max(farthest, at.z + Math.max(Math.abs(at.x) / this.camera.aspect, Math.abs(at.y)) / rise);
+    }
+    return farthest;
   }
 
   clip() {
@@ -205,25 +219,45 @@ export class SurfaceView {
   read(event) {
     if (!this.solid.visible || !this.deviation) return;
     const area = this.canvas.getBoundingClientRect();
-    const at = new THREE.Vector2((event.clientX - area.left) / area.width * 2 - 1, 1 - (event.clientY - area.top) / area.height * 2);
+    const across = (event.clientX - area.left) / area.width;
+    const down = (event.clientY - area.top) / area.height;
     const caster = new THREE.Raycaster();
-    caster.setFromCamera(at, this.camera);
+    caster.setFromCamera(new THREE.Vector2(2 * across - 1, 1 - 2 * down), this.camera);
     const isCut = this.solid.material.clippingPlanes;
-    const hit = caster.intersectObject(this.solid).find(({ point }) => !isCut || this.plane.distanceToPoint(point) >= 0);
+    const isSeen = ({ point }) => !isCut || this.plane.distanceToPoint(point) >= 0;
+    const hit = caster.intersectObject(this.solid).find(isSeen);
     if (!hit) return;
     const value = this.deviation[hit.face.a] * this.header.deviation_unit_mm;
     const place = ["x", "y", "z"].map((axis) => number(hit.point[axis], 1)).join(", ");
     $("surface-notice").textContent = `${signed(value)} mm at (${place}) mm`;
   }
 
-  // Draw once, when the browser is about to show the next picture.
+  // Draw once, when the browser is about to show the next picture; but never before the graphics processor is done with
+  // the last one and has rested as long, so that a slow one does not hold up the rest of the page.
   ask() {
     if (!this.renderer || this.isAsked) return;
     this.isAsked = true;
-    requestAnimationFrame(() => {
+    this.wait(() => requestAnimationFrame(() => {
       this.isAsked = false;
       this.draw();
-    });
+    }));
+  }
+
+  wait(then) {
+    const context = this.renderer.getContext();
+    if (this.fence) {
+      const state = context.clientWaitSync(this.fence, 0, 0);
+      if (state === context.TIMEOUT_EXPIRED && !context.isContextLost()) {
+        setTimeout(() => this.wait(then), 15);
+        return;
+      }
+      context.deleteSync(this.fence);
+      this.fence = null;
+      this.restUntil = 2 * performance.now() - this.drawnAt;
+    }
+    const restMs = Math.min((this.restUntil ?? 0) - performance.now(), 2000);
+    if (restMs > 20) setTimeout(then, restMs);
+    else then();
   }
 
   draw() {
@@ -236,8 +270,21 @@ export class SurfaceView {
       this.camera.aspect = width / height;
       this.camera.updateProjectionMatrix();
     }
+    this.drawnAt = performance.now();
     this.renderer.render(this.scene, this.camera);
+    const context = this.renderer.getContext();
+    this.fence = context.fenceSync(context.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    context.flush();
   }
+}
+
+// Whether there is no graphics processor: smooth edges are then too dear.
+function isSoftware() {
+  const context = document.createElement("canvas").getContext("webgl2");
+  const about = context?.getExtension("WEBGL_debug_renderer_info");
+  const name = about ? context.getParameter(about.UNMASKED_RENDERER_WEBGL) : "";
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name);
 }
 
 // Vertex colours are linear light to three.js.

@@ -62,7 +62,8 @@ export class Timeline {
 
   label() {
     const row = this.rows[this.at ?? this.rows.length - 1];
-    const text = !row ? "no history yet" : `${this.at === null ? (this.isLive ? "live, " : "end, ") : ""}${number(row.time_s, 1)} s, frame ${row.number}`;
+    const end = this.isLive ? "live, " : "end, ";
+    const text = row ? `${this.at === null ? end : ""}${number(row.time_s, 1)} s, frame ${row.number}` : "no history yet";
     $("moment-label").textContent = text;
     this.slider.setAttribute("aria-valuetext", text);
     $("to-live").textContent = this.isLive ? "Back to live" : "To the end";
