@@ -40,8 +40,8 @@ VOXEL_MM, BINNING = 0.2, 2
 ANGLES, PASSES = 180, 20
 IRRADIANCE_MW_PER_CM2 = 90.0
 """So that a part of plain walls takes the paper's 17 turns."""
-FRAMES_A_TURN, LOOK_FRAMES = 180, 18
-"""Frames between predictions: a tenth of a turn."""
+FRAMES_A_TURN, LOOK_FRAMES = 180, 6
+"""Frames between predictions; live, there is one with each."""
 BRANCH_S = 2.0
 """Between states from which the light is cut."""
 DARK_S, DARK_STEP_S = 40.0, 2.0
@@ -95,8 +95,8 @@ def _middle(by: float) -> Upset:
 WRONG_RESINS = {
     "diffusion x 2": _chemistry(oxygen_diffusion_mm2_per_s=2.0),
     "induction halved": _chemistry(oxygen_mol_per_m3=0.5),
-    "scattering middle + 10 %": _middle(1.1),
-    "scattering middle - 10 %": _middle(0.9),
+    "scattering middle 10 % higher": _middle(1.1),
+    "scattering middle 10 % lower": _middle(0.9),
 }
 UPSETS = {
     "voxels of 0.1 mm, steps of 0.5 s": Upset(voxel_mm=0.1, settings={"chemistry_step_s": 0.5}),

@@ -91,6 +91,18 @@ def test_dust_that_is_bright_from_the_start_is_not_taken_for_resin() -> None:
     assert dusty.stop_s == pytest.approx(model.stop_s[2], rel=1e-6)
 
 
+@pytest.mark.parametrize("stop_share", [0.97, 1.03])
+@pytest.mark.parametrize("stray_share", [0.01, 0.02, 0.05])
+def test_places_that_only_seem_to_have_cured_do_not_end_a_print_early(stray_share: float, stop_share: float) -> None:
+    nominal = spread_times()
+    model = replace(model_of(nominal), stop_s=stop_share * np.median(nominal) / SENSITIVITIES)
+    crossing = nominal * np.exp(0.01 * np.random.default_rng(3).normal(size=len(nominal)))
+    crossing[np.random.default_rng(6).choice(len(nominal), int(stray_share * len(nominal)), replace=False)] = 150.0
+    best_s = float(model.stop_s[2])
+    stops = [now for now in np.arange(152.0, 270.0, 0.5) if should_stop(predict(model, seen_until(now, crossing)), now)]
+    assert stops[0] == pytest.approx(best_s, rel=0.05)
+
+
 def test_nothing_seen_says_so_and_does_not_stop() -> None:
     model = model_of(spread_times())
     nothing = predict(model, fresh_history(model))

@@ -145,7 +145,7 @@ def test_auto_stops_within_three_percent_of_the_best_dose(prepared: Any, sensiti
 
 
 def test_the_uncertainty_covers_a_wrong_threshold(prepared: Any) -> None:
-    name = "scattering middle + 10 %"
+    name = "scattering middle 10 % higher"
     row = stopping.measure(prepared, name, stopping.WRONG_RESINS[name], 1.0)
     assert 0.01 < row.error < stopping.LATEST_SHARE
     assert row.covered

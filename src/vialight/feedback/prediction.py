@@ -36,7 +36,7 @@ TOO_EARLY = 4.0
 """Places seen to cure in less than this share of the nominal time are dust or bubbles, not resin, and not watched."""
 LEAST_BLOCKS = 12
 """Blocks that must have been seen to cure before a stop is acted on."""
-FIRST_SHARE, SURE_SHARE = 0.03, 0.3
+FIRST_SHARE, SURE_SHARE = 0.015, 0.3
 """Shares of the places that must have been: when they agree with the model to within `FIRST_NOISE`, and at any rate."""
 
 _PULL = 2.5
