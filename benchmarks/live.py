@@ -37,7 +37,7 @@ STAGES = {
     "read_view": "read the frame along rays",
     "renew_rays": "interpolate rays in angle",
     "fold_changes": "fold opposite angles",
-    "filter_rays": "filter",
+    "filter_few": "filter",
     "add_projections": "backproject and sum up",
 }
 

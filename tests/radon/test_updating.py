@@ -8,6 +8,7 @@ import pytest
 from vialight.arrays import IntArray, centred
 from vialight.radon import backproject
 from vialight.radon.updating import add_projections
+from vialight.radon.workers import Workers
 
 SAMPLES, SPACING_MM = 41, 0.3
 X_MM, Y_MM = centred(50, 0.27), centred(37, 0.27)
@@ -31,7 +32,7 @@ def test_what_is_added_is_the_backprojection_and_sums_are_those_of_the_volume(an
     volume[~disk] = 0
     added = backproject(filtered, psi, first, SPACING_MM, X_MM, Y_MM)
     expected = volume + np.where(disk[..., None], added, 0)
-    sums, counts = add_projections(volume, filtered, psi, first, SPACING_MM, X_MM, Y_MM, inside(4.5), 0.5)
+    sums, counts = add_projections(volume, filtered, psi, first, SPACING_MM, X_MM, Y_MM, inside(4.5), 0.5, Workers(2))
     np.testing.assert_allclose(volume, expected, rtol=0, atol=1e-5)
     above = volume > 0.5
     for axis, found, counted in zip((2, 0, 1), sums, counts, strict=True):

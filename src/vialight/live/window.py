@@ -20,9 +20,11 @@ from vialight.links import Sums
 from vialight.live.schedule import Schedule
 from vialight.live.turn import LatestTurn
 from vialight.pipeline import SLICES_A_BLOCK, field_radius_mm, grid_of_view
-from vialight.radon import FilterName, filter_rays, ramp_filter
+from vialight.radon import FilterName, ramp_filter
+from vialight.radon.filters import filter_few, padded_filter
 from vialight.radon.memory import aligned_zeros, padded_depth
 from vialight.radon.updating import AxisSums, add_projections
+from vialight.radon.workers import Workers
 from vialight.sinogram import bin_frames, parallel_beam
 from vialight.sinogram.streaming import LOST, NEVER, fold_changes, ray_taps, read_view, renew_rays
 from vialight.volume import DEFAULT_FILTER
@@ -87,6 +89,8 @@ class SlidingWindow:
         See `vialight.pipeline.Settings`.
     grid
         The voxels wanted; by default `vialight.pipeline.grid_of_view`.
+    threads
+        That share the work of `renew`.
 
     Raises
     ------
@@ -106,6 +110,7 @@ class SlidingWindow:
         filter_name: FilterName = DEFAULT_FILTER,
         binning: int = 1,
         grid: Grid | None = None,
+        threads: int = 2,
     ) -> None:
         shape = _checked_shape(frame_shape, frames_per_turn, dark, binning)
         camera, optics = rig.need_camera().binned(binning), rig.imaging_optics()
@@ -121,8 +126,10 @@ class SlidingWindow:
         self._schedule = Schedule(psi, self._taps.directions_rad[self._middle], self._turn.step_rad)
         # Full turn: every ray is there twice, so half the angular step counts.
         scale = np.float32(np.pi / frames_per_turn)
-        self._filter = ramp_filter(filter_name, len(self.beam.virtual_x_mm), self.beam.spacing_mm) * scale
+        ramp = ramp_filter(filter_name, len(self.beam.virtual_x_mm), self.beam.spacing_mm)
+        self._filter = padded_filter(ramp * scale)
         self._inside = _disk(self.grid, field_radius_mm(self.beam, optics))
+        self._workers = Workers(threads)
         self._frames_used = self._frames_new = 0
         self._allocate()
 
@@ -211,12 +218,12 @@ class SlidingWindow:
         return self._state()
 
     def _bring_in(self, rows: IntArray) -> None:
-        changes = np.zeros((len(rows), *self._folded.shape[1:]), np.float32)
+        changes = aligned_zeros((len(rows), self._filter.shape[1], self._folded.shape[2]))
         fold_changes(self._sinogram, self._states, SLICES_A_BLOCK, self._folded, rows, changes)
         self._sums, self._counts = add_projections(
-            self._volume, filter_rays(self._filter, changes), self.beam.psi_rad[rows],
+            self._volume, filter_few(self._filter, changes, self._workers), self.beam.psi_rad[rows],
             float(self.beam.virtual_x_mm[0]), self.beam.spacing_mm, self.grid.x_mm, self.grid.y_mm,
-            self._inside, self.threshold,
+            self._inside, self.threshold, self._workers,
         )  # fmt: skip
 
     def _state(self) -> WindowState:

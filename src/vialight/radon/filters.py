@@ -9,11 +9,16 @@ from numba import njit, prange
 
 from vialight.arrays import FAST_MATH, Float32Array, FloatArray
 from vialight.errors import InputError
+from vialight.radon.memory import aligned_zeros
+from vialight.radon.workers import Workers
 
 FilterName = Literal["ram-lak", "shepp-logan", "cosine", "hann"]
 
 _SAMPLES_A_PASS = 12
 """Samples that a filter weighs before a filtered one is written back."""
+
+_PARTS = 4
+"""Of an angle, filtered by one thread each where angles are few."""
 
 
 def ramp_filter(name: FilterName, count: int, spacing_mm: float) -> Float32Array:
@@ -87,34 +92,79 @@ def filter_rays(matrix: Float32Array, rays: Float32Array) -> Float32Array:
     array([1., 1.], dtype=float32)
     """
     filtered = np.zeros(rays.shape, np.float32)
-    _filter_rays(np.pad(matrix, ((0, 0), (0, -len(matrix) % _SAMPLES_A_PASS))), rays, filtered)
+    _filter_rays(padded_filter(matrix), rays, filtered)
+    return filtered
+
+
+def padded_filter(matrix: Float32Array) -> Float32Array:
+    """Return a filter as `filter_few` wants it: columns of zeros fill the last pass."""
+    return np.pad(matrix, ((0, 0), (0, -len(matrix) % _SAMPLES_A_PASS)))
+
+
+def filter_few(padded: Float32Array, rays: Float32Array, workers: Workers) -> Float32Array:
+    """Filter a few angles, shared out evenly among threads.
+
+    Parameters
+    ----------
+    padded
+        See `padded_filter`.
+    rays
+        (psi, s, z) contiguous float32, as many samples as the filter has columns, those that fill it zero.
+    workers
+        Threads.
+
+    Returns
+    -------
+    numpy.ndarray
+        (psi, s, z) float32, as many samples as the filter has rows.
+    """
+    samples, depth = len(padded), rays.shape[2]
+    filtered = aligned_zeros((len(rays), samples, depth))
+    part = -(-samples // _PARTS)
+
+    def work(worker: int, task: int) -> None:
+        del worker
+        angle, stretch = task // _PARTS, slice(task % _PARTS * part, (task % _PARTS + 1) * part)
+        _filter_part(padded[stretch], rays[angle], filtered[angle, stretch])
+
+    workers.run(len(rays) * _PARTS, work)
     return filtered
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST_MATH, cache=True)
 def _filter_rays(matrix: Float32Array, rays: Float32Array, filtered: Float32Array) -> None:
     angles, samples, depth = rays.shape
-    padded = matrix.shape[1]
     for a in prange(angles):
-        row = np.zeros((padded, depth), np.float32)
+        row = np.zeros((matrix.shape[1], depth), np.float32)
         row[:samples] = rays[a]
-        for j in range(0, padded, _SAMPLES_A_PASS):
-            for i in range(samples):
-                m0, m1, m2, m3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
-                m4, m5, m6, m7 = matrix[i, j + 4], matrix[i, j + 5], matrix[i, j + 6], matrix[i, j + 7]
-                m8, m9, m10, m11 = matrix[i, j + 8], matrix[i, j + 9], matrix[i, j + 10], matrix[i, j + 11]
-                for z in range(depth):
-                    filtered[a, i, z] += (
-                        m0 * row[j, z]
-                        + m1 * row[j + 1, z]
-                        + m2 * row[j + 2, z]
-                        + m3 * row[j + 3, z]
-                        + m4 * row[j + 4, z]
-                        + m5 * row[j + 5, z]
-                        + m6 * row[j + 6, z]
-                        + m7 * row[j + 7, z]
-                        + m8 * row[j + 8, z]
-                        + m9 * row[j + 9, z]
-                        + m10 * row[j + 10, z]
-                        + m11 * row[j + 11, z]
-                    )
+        _weigh(matrix, row, filtered[a])
+
+
+@njit(nogil=True, fastmath=FAST_MATH, cache=True)
+def _filter_part(matrix: Float32Array, row: Float32Array, filtered: Float32Array) -> None:
+    _weigh(matrix, row, filtered)
+
+
+@njit(inline="always")
+def _weigh(matrix: Float32Array, row: Float32Array, filtered: Float32Array) -> None:
+    samples, depth = filtered.shape
+    for j in range(0, matrix.shape[1], _SAMPLES_A_PASS):
+        for i in range(samples):
+            m0, m1, m2, m3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
+            m4, m5, m6, m7 = matrix[i, j + 4], matrix[i, j + 5], matrix[i, j + 6], matrix[i, j + 7]
+            m8, m9, m10, m11 = matrix[i, j + 8], matrix[i, j + 9], matrix[i, j + 10], matrix[i, j + 11]
+            for z in range(depth):
+                filtered[i, z] += (
+                    m0 * row[j, z]
+                    + m1 * row[j + 1, z]
+                    + m2 * row[j + 2, z]
+                    + m3 * row[j + 3, z]
+                    + m4 * row[j + 4, z]
+                    + m5 * row[j + 5, z]
+                    + m6 * row[j + 6, z]
+                    + m7 * row[j + 7, z]
+                    + m8 * row[j + 8, z]
+                    + m9 * row[j + 9, z]
+                    + m10 * row[j + 10, z]
+                    + m11 * row[j + 11, z]
+                )

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from vialight.arrays import FAST_MATH, TURN_RAD, Float32Array, FloatArray, IntArray, ParallelBeam
@@ -110,7 +110,7 @@ def read_view(frame: Float32Array, taps: RayTaps, view: Float32Array) -> None:
     _read_view(frame, taps.rows, taps.row_weights, taps.columns, taps.block, view)
 
 
-@njit(parallel=True, nogil=True, fastmath=FAST_MATH, cache=True)
+@njit(nogil=True, fastmath=FAST_MATH, cache=True)
 def _read_view(
     coefficients: Float32Array,
     rows: NDArray[np.int32],
@@ -121,7 +121,7 @@ def _read_view(
 ) -> None:
     columns, depth, _ = rows.shape
     by_column = np.empty((columns, depth), np.float32)
-    for c in prange(columns):
+    for c in range(columns):
         along = coefficients[:, c].copy()
         for z in range(depth):
             total = weights[c, z, 0] * along[rows[c, z, 0]]
@@ -129,7 +129,7 @@ def _read_view(
             total += weights[c, z, 2] * along[rows[c, z, 2]]
             total += weights[c, z, 3] * along[rows[c, z, 3]]
             by_column[c, z] = total
-    for x in prange(column.shape[1]):
+    for x in range(column.shape[1]):
         for b in range(len(column)):
             if np.isnan(column[b, x]):
                 continue
@@ -146,7 +146,7 @@ def _read_view(
                 )
 
 
-@njit(parallel=True, nogil=True, fastmath=FAST_MATH, cache=True)
+@njit(nogil=True, fastmath=FAST_MATH, cache=True)
 def renew_rays(
     sinogram: Float32Array,
     states: StateArray,
@@ -182,7 +182,7 @@ def renew_rays(
     """
     count, depth = len(sinogram), sinogram.shape[2]
     spacing = TURN_RAD / count
-    for x in prange(sinogram.shape[1]):
+    for x in range(sinogram.shape[1]):
         for b in range(len(directions)):
             direction = directions[b, x]
             if np.isnan(direction):
@@ -216,7 +216,7 @@ def renew_rays(
                     touched[k] = 1
 
 
-@njit(parallel=True, nogil=True, fastmath=FAST_MATH, cache=True)
+@njit(nogil=True, fastmath=FAST_MATH, cache=True)
 def fold_changes(
     sinogram: Float32Array,
     states: StateArray,
@@ -241,7 +241,7 @@ def fold_changes(
         (n, x_v or more, z) float32, written: folded now less folded then.
     """
     half, samples, depth = held.shape
-    for x in prange(samples):
+    for x in range(samples):
         opposite = samples - 1 - x
         for i in range(len(rows)):
             k = rows[i]
