@@ -168,10 +168,10 @@ def _add_values(column: Float32Array, across: Float32Array, along: Float32Array)
 def _add_counts(column: Float32Array, threshold: np.float32, across: Float32Array, along: Float32Array) -> np.float32:
     count = np.float32(0)
     for z in range(len(column)):
-        above = np.float32(1) if column[z] > threshold else np.float32(0)
-        count += above
-        across[z] += above
+        count += np.float32(1) if column[z] > threshold else np.float32(0)
     if count > 0:
+        for z in range(len(column)):
+            across[z] += np.float32(1) if column[z] > threshold else np.float32(0)
         for z in range(len(column)):
             along[z] += np.float32(1) if column[z] > threshold else np.float32(0)
     return count
