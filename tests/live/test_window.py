@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -302,6 +304,13 @@ def test_most_frames_cost_three_angles(seed: int, monkeypatch: pytest.MonkeyPatc
     assert len(counts) > 0.9 * len(arrivals.angles_rad)
     assert np.mean(counts) < 4
     assert np.median(counts) == 3
+
+
+def test_no_frame_waits_for_a_compiler_once_kernels_are_compiled() -> None:
+    """Seen from a process of its own, where nothing has run before."""
+    script = Path(__file__).with_name("kernels_that_compile_late.py")
+    told = subprocess.run([sys.executable, script], check=True, capture_output=True, text=True)
+    assert told.stdout == "known: 6, new: 0\n"
 
 
 def test_the_streamed_sample_is_true_to_12_um(shared_cases: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vialight.arrays import TURN_RAD, BoolArray, Float32Array, Grid, IntArray, ParallelBeam
-from vialight.config import Rig
+from vialight.config import Camera, Rig
 from vialight.errors import InputError
 from vialight.links import Sums
 from vialight.live.schedule import Schedule
@@ -255,6 +255,14 @@ class SlidingWindow:
         passing = self._schedule.incomplete(self._turn.newest_rad, self._turn.sense)
         older, never = best == LOST, best == NEVER
         return np.asarray(passing[:, None] & ~(older | never)), older, never
+
+
+def compile_kernels() -> None:
+    """Compile, or load from the cache, all that a window runs, so that a print's first frame need not wait for it."""
+    camera = Camera(pixel_mm=1.0, axis_column=3.5, optical_row=1.5)
+    made = SlidingWindow(Rig(geometry="parallel", camera=camera), (4, 8), 4, dark=None, threshold=1.0)
+    made.add(np.ones((4, 8), np.uint16), 0.0)
+    made.renew(everything=True)
 
 
 def _checked_shape(
