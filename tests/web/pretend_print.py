@@ -312,7 +312,9 @@ class PretendProcess:
         self.process.wait(20)
 
     def kill(self) -> None:
+        assert self.process.stdin is not None
         self.process.kill()
+        self.process.stdin.close()
         self.process.wait()
 
 

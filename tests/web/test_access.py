@@ -39,9 +39,9 @@ def test_without_a_token_nothing_is_told(client: Client, path: str) -> None:
     assert client.ask(path, headers={}).status == 401
 
 
-@pytest.mark.parametrize("given", ["Bearer wrong", "Bearer ", "Basic dG9rZW4=", "Bearer \xe9"])
-def test_a_wrong_token_is_refused(lone_client: Client, given: str) -> None:
-    assert lone_client.ask("/api/runs", headers={"Authorization": given}).status == 401
+def test_a_wrong_token_is_refused(lone_client: Client) -> None:
+    for given in ("Bearer wrong", "Bearer ", "Basic dG9rZW4=", "Bearer \xe9", f"Bearer {lone_client.token[:-1]}"):
+        assert lone_client.ask("/api/runs", headers={"Authorization": given}).status == 401
 
 
 def test_a_right_token_lets_programs_in_and_pages_get_a_cookie_that_scripts_cannot_read(client: Client) -> None:
@@ -55,10 +55,11 @@ def test_a_right_token_lets_programs_in_and_pages_get_a_cookie_that_scripts_cann
     assert client.ask("/api/runs", headers={"Cookie": cookie}).status == 200
 
 
-@pytest.mark.parametrize("body", [b"", b"null", b"{", b"[]", b'{"token": 3}', b'{"token": "\\ud800"}', b"\xff"])
-def test_what_is_no_token_is_refused(lone_client: Client, body: bytes) -> None:
-    answer = lone_client.ask("/api/session", "POST", body, {"Origin": lone_client.origin})
-    assert answer.status in (400, 401)
+def test_what_is_no_token_is_refused(lone_client: Client) -> None:
+    for body in (b"", b"null", b"{", b"[]", b'{"token": 3}', b'{"token": "\\ud800"}', b"\xff"):
+        answer = lone_client.ask("/api/session", "POST", body, {"Origin": lone_client.origin})
+        assert answer.status in (400, 401)
+        assert "set-cookie" not in answer.headers
 
 
 def test_a_token_in_the_address_is_not_taken(client: Client) -> None:

@@ -129,7 +129,7 @@ class RunWatch:
         self._seen: dict[str, float] = {}
         self._status: PrintStatus | None = None
         self._counts = {"moments": 0, "surfaces": 0, "log": 0}
-        self._changed = ""
+        self._changed: str | None = None
         self._grid: ViewGrid | None = None
         self._pattern: int | None = -1
 
@@ -227,6 +227,8 @@ class RunWatch:
                 self.board.publish("pattern", message)
 
     def _publish_status(self) -> None:
+        if self._changed is None:
+            return  # not known yet whether anything prints
         now = time.monotonic()
         message = {
             "kind": "status",
