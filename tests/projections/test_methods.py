@@ -88,6 +88,20 @@ def test_object_space_closes_the_in_part_range_and_keeps_the_void_below() -> Non
     assert score.in_part_dose_range < 0.07
 
 
+@pytest.mark.parametrize("name", DESCENDING)
+def test_no_light_is_sent_beside_the_part(name: MethodName) -> None:
+    """A box whose corners come near to the circle: beyond it nothing is judged, so that light there goes unseen."""
+    goal, light = goal_for(thin_wall_box((12.0, 6.0, 3.0)), 0.4)
+    inside = goal.inside.max(axis=2) > 0
+    geometry = light.geometry
+    farthest = np.hypot(geometry.x_mm, geometry.y_mm[:, None])[inside].max()
+    s_mm = geometry.first_s_mm + np.arange(geometry.samples) * geometry.spacing_mm
+    beside = np.abs(s_mm) > farthest + 1.5 * geometry.voxel_mm  # no voxel of the part reaches into these
+    assert beside.sum() >= 4  # two on each side
+    for state in run(name, goal, light, 3):
+        assert not state.projections[:, beside].any()
+
+
 def test_the_best_of_a_run_is_that_of_the_lowest_cost() -> None:
     goal, light, _ = small_goal()
     light_of_pass = {1: 1.2, 2: 1.05, 3: 1.3}

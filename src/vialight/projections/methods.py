@@ -134,21 +134,35 @@ def osmo(
     low, high
         Thresholds, as shares of the largest dose.
     """
-    part = goal.inside >= 0.5
+    part, useful = goal.inside >= 0.5, _strips_of_use(goal, light)
     model, passes = (part.astype(np.float32), 0) if state is None else (state.model, state.passes)
-    _, scaled = _scaled_dose(model, light)
+    _, scaled = _scaled_dose(model, light, useful)
     while True:
         model = model + np.where(part, np.maximum(high - scaled, 0), 0).astype(np.float32)
-        _, scaled = _scaled_dose(model, light)
+        _, scaled = _scaled_dose(model, light, useful)
         model = model - np.where(part, 0, np.maximum(scaled - low, 0)).astype(np.float32) * goal.reach
-        projections, scaled = _scaled_dose(model, light)
+        projections, scaled = _scaled_dose(model, light, useful)
         passes += 1
         # In units where the part's threshold is 1.
         yield State(passes, model, projections / np.float32(high), scaled / np.float32(high))
 
 
-def _scaled_dose(model: Float32Array, light: Light) -> tuple[Float32Array, Float32Array]:
-    projections: Float32Array = np.maximum(filtered_projections(model, light), 0)
+def _strips_of_use(goal: Goal, light: Light) -> Float32Array:
+    """Return (s, 1): 1 for strips that can light the part at some angle, 0 for those that only pass beside it.
+
+    Filtered projections have light there too, beside voids that a model has lowered.  It does no good, and what it does
+    at the rim, where nothing is judged, no method sees.
+    """
+    geometry = light.geometry
+    radius = np.hypot(geometry.x_mm, geometry.y_mm[:, None])[:, :, None]
+    farthest = float((radius * ((goal.inside > 0) & (goal.reach > 0))).max()) + geometry.voxel_mm
+    farthest += 2 * math.hypot(light.projector_blur_mm, light.diffusion_mm)
+    s_mm = geometry.first_s_mm + np.arange(geometry.samples) * geometry.spacing_mm
+    return np.asarray(np.abs(s_mm) <= farthest, dtype=np.float32)[:, None]
+
+
+def _scaled_dose(model: Float32Array, light: Light, useful: Float32Array) -> tuple[Float32Array, Float32Array]:
+    projections: Float32Array = np.maximum(filtered_projections(model, light), 0) * useful
     dose = dose_of(projections, light)
     peak = np.float32(max(float(dose.max()), 1e-12))
     return np.asarray(projections / peak, np.float32), np.asarray(dose / peak, np.float32)
@@ -176,11 +190,11 @@ def object_space(goal: Goal, light: Light, state: State | None = None, *, step: 
     """
     start = goal.inside * goal.reach
     models, passes = (np.stack([start, start]), 0) if state is None else (state.model, state.passes)
-    step = step / _gain(light)
+    step, useful = step / _gain(light), _strips_of_use(goal, light)
     while True:
         latest, before = models
         pushed = latest + np.float32(max(passes - 1, 0) / (passes + 2)) * (latest - before)
-        projections = np.maximum(filtered_projections(pushed, light), 0)
+        projections = np.asarray(np.maximum(filtered_projections(pushed, light), 0) * useful, np.float32)
         dose = dose_of(projections, light)
         passes += 1
         models = np.stack([pushed - np.float32(step) * _blurred(goal.error_of(dose), light), latest])
@@ -227,7 +241,8 @@ def gradient(goal: Goal, light: Light, state: State | None = None, *, steps: int
         Quasi-Newton steps in a pass; the memory of curvature begins anew with each pass.
     """
     if state is None:
-        now, passes = np.maximum(filtered_projections(goal.inside * goal.reach, light), 0), 0
+        clipped = np.maximum(filtered_projections(goal.inside * goal.reach, light), 0)
+        now, passes = np.asarray(clipped * _strips_of_use(goal, light), np.float32), 0
         dose = dose_of(now, light)
     else:
         now, passes, dose = state.projections, state.passes, state.dose
