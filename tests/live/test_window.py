@@ -261,14 +261,21 @@ def test_half_a_turn_and_the_skew_see_every_ray() -> None:
 
 
 def test_what_is_provisional_is_the_skew_while_a_stage_turns() -> None:
-    """Angles 38 deg behind and 38 + 1.5 steps ahead are not complete: 85 of 360 deg."""
+    """The outermost ray is skewed by 35.4 deg: angles up to that ahead, and as much and 1.5 steps behind, are passing.
+
+    To within an angle, and one more ahead, whose cubic reaches to the new frame.
+    """
     made = window()
     for number, angle in enumerate(turn(0.3, 2 * FRAMES)):
         made.add(frame(angle, 1 + 0.01 * number), angle)
         state = made.renew()
     assert state.incomplete_share == state.provisional_share
-    assert state.provisional_share == pytest.approx(85 / 360, abs=0.03)
+    assert state.provisional_share == pytest.approx((2 * 35.4 + 9) / 360, abs=2 / FRAMES)
     assert state.older_share == state.never_share == 0
+    on_axis, at_half, complete = np.degrees(made.lags_rad)
+    assert on_axis == pytest.approx(0, abs=0.3)
+    assert at_half == pytest.approx(8, abs=1)
+    assert complete == pytest.approx(35.4 + 9, abs=0.1)
 
 
 def test_a_gap_is_seen_from_the_other_side() -> None:

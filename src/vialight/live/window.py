@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import TURN_RAD, BoolArray, Float32Array, Grid, IntArray, ParallelBeam
+from vialight.arrays import TURN_RAD, BoolArray, Float32Array, FloatArray, Grid, IntArray, ParallelBeam
 from vialight.config import Camera, Rig
 from vialight.errors import InputError
 from vialight.links import Sums
@@ -141,6 +141,15 @@ class SlidingWindow:
         self._folded = aligned_zeros((angles // 2, rays, depth))
         self._volume = aligned_zeros((*self.grid.shape[1:], depth))
         self._sums = self._counts = _no_sums(*self._volume.shape)
+
+    @property
+    def lags_rad(self) -> FloatArray:
+        """How far the stage has gone past a virtual angle when it is brought into the volume: each time.
+
+        With a vial on the axis, at half the field, and complete: the delay that refraction imposes, at the stage's
+        speed.
+        """
+        return self._schedule.lags_rad.copy()
 
     @property
     def volume(self) -> Float32Array:
