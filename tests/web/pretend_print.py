@@ -105,6 +105,8 @@ class PretendPrint:
         self.stopped_s: float | None = None
         self.orders: list[dict[str, Any]] = []
         self.over = threading.Event()
+        self.paused: set[str] = set()
+        """Which of status, snapshot, surface are held back, as by a process that hangs."""
         self._write_inputs()
         self._sums = self._reference_sums()
 
@@ -119,9 +121,11 @@ class PretendPrint:
         self._control = ControlServer(self._obey)
         LiveLink(os.getpid(), str(self._folder), self._control.address, self._control.key).publish(self.run)
         self._threads = [
-            threading.Thread(target=self._repeat, args=(interval, act), daemon=True)
-            for interval, act in (
-                (0.04, self._tell_status), (1 / self.pretence.rate_hz, self._tell_snapshot), (1.0, self._tell_surface),
+            threading.Thread(target=self._repeat, args=(name, interval, act), daemon=True)
+            for name, interval, act in (
+                ("status", 0.04, self._tell_status),
+                ("snapshot", 1 / self.pretence.rate_hz, self._tell_snapshot),
+                ("surface", 1.0, self._tell_surface),
             )
         ]  # fmt: skip
         for thread in self._threads:
@@ -186,10 +190,11 @@ class PretendPrint:
         LiveLink.withdraw(self.run)
         self.over.set()
 
-    def _repeat(self, interval_s: float, act: Any) -> None:
+    def _repeat(self, name: str, interval_s: float, act: Any) -> None:
         due = time.monotonic()
         while not self.over.is_set():
-            act()
+            if name not in self.paused:
+                act()
             due = max(due + interval_s, time.monotonic())
             time.sleep(max(due - time.monotonic(), 0))
 

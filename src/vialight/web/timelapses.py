@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
+import json
 import os
+import subprocess
+import sys
 import tempfile
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
+import threading
 from pathlib import Path
 from typing import Any
 
 from vialight.errors import InputError
 from vialight.web.catalogue import Run
+
+_NICE = 10
 
 
 class TimeLapses:
@@ -21,15 +24,14 @@ class TimeLapses:
     def __init__(self) -> None:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._run: Run | None = None
-        self._process: SpawnProcess | None = None
-        self._pipe: Connection[Any, Any] | None = None
+        self._process: subprocess.Popen[str] | None = None
         self._states: dict[str, dict[str, Any]] = {}
 
     def close(self) -> None:
         """Give up what is being made, and remove what was."""
-        if self._process is not None and self._process.is_alive():
+        if self._process is not None and self._process.poll() is None:
             self._process.terminate()
-            self._process.join(5)
+            self._process.wait(5)
         if self._folder is not None:
             self._folder.cleanup()
 
@@ -41,25 +43,24 @@ class TimeLapses:
         InputError
             Another one is being drawn.
         """
-        self._hear()
-        if self._process is not None and self._process.is_alive():
+        if self._process is not None and self._process.poll() is None:
             if self._run is not None and self._run.key == run.key:
                 return self.state(run)
             raise InputError("time-lapse", "another one is being drawn", remedy="wait for it")
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="vialight-page-")
-        context = multiprocessing.get_context("spawn")
-        self._pipe, far_end = context.Pipe(duplex=False)
-        self._process = context.Process(target=_draw, args=(run.folder, self._path(run), far_end), daemon=True)
-        self._process.start()
-        far_end.close()
         self._run = run
         self._states[run.key] = {"state": "drawing", "done": 0, "total": None}
+        command = [sys.executable, "-m", __name__, str(run.folder), str(self._path(run))]
+        # Not multiprocessing: the page's server is a child itself, and such may have none.
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        threading.Thread(target=self._hear, args=(run, self._process), daemon=True).start()
         return self._states[run.key]
 
     def state(self, run: Run) -> dict[str, Any]:
         """Tell how far it is: absent, drawing, done or failed."""
-        self._hear()
         return self._states.get(run.key, {"state": "absent"})
 
     def finished(self, run: Run) -> Path | None:
@@ -70,29 +71,32 @@ class TimeLapses:
     def _path(self, run: Run) -> Path | None:
         return None if self._folder is None else Path(self._folder.name) / f"{run.key}.mp4"
 
-    def _hear(self) -> None:
-        if self._pipe is None or self._run is None:
-            return
-        try:
-            while self._pipe.poll():
-                self._states[self._run.key] = self._pipe.recv()
-        except (EOFError, OSError):
-            if self._states[self._run.key]["state"] == "drawing":
-                self._states[self._run.key] = {"state": "failed", "error": "the drawing process ended"}
-            self._pipe = None
+    def _hear(self, run: Run, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        with process.stdout as lines:
+            for line in lines:
+                with contextlib.suppress(ValueError):
+                    self._states[run.key] = json.loads(line)
+        process.wait()
+        if self._states[run.key]["state"] == "drawing":
+            self._states[run.key] = {"state": "failed", "error": "the drawing process ended"}
 
 
-def _draw(folder: Path, out: Path, pipe: Connection[Any, Any]) -> None:
+def _draw(folder: str, out: str) -> None:
     from vialight.report import write_timelapse
 
     with contextlib.suppress(OSError):
-        os.nice(10)
+        os.nice(_NICE)
 
-    def tell(done: int, total: int) -> None:
-        pipe.send({"state": "drawing", "done": done, "total": total})
+    def tell(**state: Any) -> None:
+        print(json.dumps(state), flush=True)
 
     try:
-        write_timelapse(folder, out, progress=tell)
-        pipe.send({"state": "done"})
+        write_timelapse(folder, out, progress=lambda done, total: tell(state="drawing", done=done, total=total))
+        tell(state="done")
     except InputError as error:
-        pipe.send({"state": "failed", "error": str(error)})
+        tell(state="failed", error=str(error))
+
+
+if __name__ == "__main__":
+    _draw(*sys.argv[1:])

@@ -159,6 +159,10 @@ class RunWatch:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        # Who comes next must not be told what was true then.
+        self.link, self._changed = None, None
+        self._forget()
+        self.board.clear("status", "reference")
 
     async def _do(self, function: Callable[..., _T], *arguments: Any) -> _T:
         return await asyncio.get_running_loop().run_in_executor(self._workers, function, *arguments)
