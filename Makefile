@@ -3,14 +3,24 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test setup lint check format benchmark lock clean
+.PHONY: demo test setup system lint check format benchmark lock clean
 
 demo: setup
 	$(BIN)/vialight demo --out demo
 
-test: setup lint check
+test: setup system lint check
 
-# No system packages: every part comes as a wheel, and pictures are drawn without OpenGL.
+# What tests need of the system, as command:package.  Without the right to install it they are skipped, but never under CI.
+SYSTEM := chromium:chromium
+
+system:
+	@for pair in $(SYSTEM); do command -v $${pair%%:*} >/dev/null || missing="$$missing $${pair##*:}"; done; \
+	if [ -z "$$missing" ]; then exit 0; fi; \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get -qq update && \
+		DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends $$missing >/dev/null; then exit 0; fi; \
+	echo "missing, so that some tests are skipped:$$missing; as root: apt-get install$$missing"; [ -z "$$CI" ]
+
+# No system packages: every part that vialight runs with comes as a wheel, and pictures are drawn without OpenGL.
 setup: .venv/ready
 
 .venv/ready: requirements.lock pyproject.toml
