@@ -109,6 +109,8 @@ class PretendPrint:
         """Which of status, snapshot, surface are held back, as by a process that hangs."""
         self._write_inputs()
         self._sums = self._reference_sums()
+        self.began = time.time()
+        self.note("began")
 
     def __enter__(self) -> Self:
         self._folder = shared_folder()
@@ -216,10 +218,10 @@ class PretendPrint:
         self._boxes["camera"].put(CameraImage(frame, self._picture(), self.now_s, frame * 2.0 % 360))
 
     def _snapshot(self) -> Snapshot:
-        now, share = self.now_s, self.share
+        share = self.share
         cured = [np.where(image > 2 * _TUBE_MM * (1 - share), image * share, 0) for image in self._sums]
         density = [180 * image + 12 * self._noise[: image.shape[0], : image.shape[1]] for image in cured]
-        voxel = 17.2 / self.pretence.size
+        voxel, now = 17.2 / self.pretence.size, self.now_s
         return Snapshot(
             int(now * 10) + 1, now, now * 20 % 360, 0.06, 10.0, voxel, 0.0, _sums(density), _sums(cured),
             share * self.reference.volume_mm3, 0.02,
