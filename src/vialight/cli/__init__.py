@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 _FILE = click.Path(path_type=Path)
 _as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, alone on stdout.")
-_rig = click.option("--rig", required=True, type=_FILE, help="The rig, TOML.")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -30,8 +29,8 @@ def main() -> None:
 
 @main.command()
 @click.argument("frames", type=_FILE)
-@_rig
-@click.option("--out", required=True, type=_FOLDER, help="Folder for volume.zarr, surface.stl, reconstruction.json.")
+@click.option("--rig", type=_FILE, help="The rig, TOML. [default: that of the run, where FRAMES is a run's folder]")
+@click.option("--out", type=_FOLDER, help="Folder for volume.zarr, surface.stl ... [default: the run]")
 @click.option("--threshold", type=float, help="Gelation threshold I_p, counts per mm. [default: the rig's]")
 @click.option("--voxel", type=float, help="Edge of a voxel, mm. [default: half a pixel]")
 @click.option("--bin", "binning", type=int, default=1, show_default=True, help="Sum N x N pixels first.")
@@ -44,8 +43,8 @@ def main() -> None:
 @_as_json
 def reconstruct(
     frames: Path,
-    rig: Path,
-    out: Path,
+    rig: Path | None,
+    out: Path | None,
     threshold: float | None,
     voxel: float | None,
     binning: int,
@@ -54,12 +53,17 @@ def reconstruct(
     accurate: bool,
     as_json: bool,
 ) -> None:
-    """Reconstruct a print from camera FRAMES (HDF5, Data Exchange).
+    """Reconstruct a print from camera FRAMES (HDF5, Data Exchange), or from a run's folder, also of one that died.
 
     \b
     Example:
       vialight reconstruct frames.h5 --rig rig.toml --threshold 100 --out print
+      vialight reconstruct run
     """
+    if frames.is_dir():
+        rig, out, frames = rig or frames / "rig.toml", out or frames, frames / "frames.h5"
+    if rig is None or out is None:
+        raise click.UsageError("give --rig and --out, or a run's folder")
     with faults_told():
         from vialight.commands import reconstruct_recording
         from vialight.pipeline import Settings

@@ -98,7 +98,7 @@ def watch_lines(result: dict[str, Any]) -> list[str]:
     """Say what a replay has shown, and how late."""
     lines = [
         f"frames          {result['frames']}, {result['snapshots']} snapshots",
-        f"latency         {1e3 * result['latency_p50_s']:.0f} ms median, {1e3 * result['latency_p95_s']:.0f} ms or less "
+        f"latency         {1e3 * result['latency_p50_s']:.0f} ms median, {1e3 * result['latency_p95_s']:.0f} ms "
         "in 95 % of snapshots, from a frame's arrival",
         f"refraction      adds {result['refraction_delay_half_field_s']:.1f} s at half of the field, "
         f"{result['refraction_delay_edge_s']:.1f} s at its edge",

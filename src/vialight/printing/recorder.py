@@ -25,7 +25,7 @@ _QUEUE_S = 30.0
 """Of frames that may wait for the disk."""
 _LAG_WARNING_S = 1.0
 _LAG_DARK_S = 10.0
-_LATE_S = 0.15
+_LATE_S = 0.12
 """On the print's clock, after a frame was due: one lost frame is no fault, two in a row are."""
 _JUMP_S = 0.5
 """A timestamp that is off by more than this is not believed."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Mishaps:
-    """Faults of devices in time; all times are on the print's clock, from its start.
+    """Faults of devices in time; all times are on the print's clock, which begins when the camera does.
 
     Faults of the optics and of the resin are `vialight.twin.Faults`.
 

@@ -21,8 +21,8 @@ from vialight.links import Mailbox
 from vialight.store import read_plan, write_stl
 from vialight.twin import Twin, TwinSettings, find_rig, grid_round, load_resin
 
-SLACK_S = 0.06
-"""On the print's clock, after a frame's time: until then news of the light that it saw may arrive."""
+NEWS_S = 0.015
+"""By the wall clock, after a frame's time: until then news of the light that it saw may arrive."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def run_world(
     parent = multiprocessing.parent_process()
     assert parent is not None
     while not wait([parent.sentinel], timeout=0):
-        if orders.poll(0 if world.is_behind() else 0.002):
+        if orders.poll(0 if world.is_due() else 0.002):
             order = orders.recv()
             if order[0] == "frames":
                 world.start_camera(order[1])
@@ -125,31 +125,34 @@ class _World:
         self._late: CameraFrame | None = None
         self._next_s = self._period_s
         self._clock = SimulatedClock(folder / "clock", settings.rate)
-        self._clock.allow_until(self._next_s + SLACK_S)
+        self._slack_s = NEWS_S * settings.rate
+        self._clock.allow_until(self._next_s + self._slack_s)
 
     def start_camera(self, frame_rate_hz: float) -> None:
         self._period_s, self._is_grabbing, self._number = 1 / frame_rate_hz, True, 0
 
-    def is_behind(self) -> bool:
-        """Whether the next frame's time, and that in which news of the light arrive, have passed."""
-        return self._clock.now_s() >= self._next_s + SLACK_S
+    def is_due(self) -> bool:
+        """Whether the next frame's time, and that in which news of the light arrive, have passed.
+
+        Time begins when the camera does.
+        """
+        return self._is_grabbing and self._clock.now_s() >= self._next_s + self._slack_s
 
     def tick(self) -> None:
         """Bring the world to the next frame's time, where that has come."""
-        if not self.is_behind():
+        if not self.is_due():
             return
         # From here on the clock may run to the end of the next frame while this one is computed.
-        self._clock.allow_until(self._next_s + self._period_s + SLACK_S)
+        self._clock.allow_until(self._next_s + self._period_s + self._slack_s)
         self._twin.segments = (self._motion.newest() or (0, ()))[1]
-        for at, pattern in read_flips(self._folder, self._flips_seen):
+        for at, _, pattern in read_flips(self._folder, self._flips_seen):
             if at > self._next_s:
                 break
             self._flips_seen += 1
             self._twin.advance(max(0.0, at - self._twin.time_s))
             self._twin.show(None if pattern == BLACK else self._levels[pattern], self._corner)
         self._twin.advance(self._next_s - self._twin.time_s)
-        if self._is_grabbing:
-            self._grab()
+        self._grab()
         self._next_s += self._period_s
 
     def _grab(self) -> None:

@@ -1,0 +1,125 @@
+"""`vialight print` as it is run: from the command line, in all its processes, some of which are killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil  # type: ignore[import-untyped]
+import pytest
+from click.testing import CliRunner
+
+from printing.prints import BINNING, write_quick_plan
+from vialight.cli import main
+from vialight.devices.simulated.display import BLACK, read_flips
+from vialight.links import LiveLink, find_live_print
+from vialight.mesh import load_mesh
+from vialight.store import list_history, open_frames, read_json
+
+_PATIENCE_S = 120.0
+
+
+def wait_for(what: Callable[[], Any]) -> Any:
+    deadline = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < deadline:
+        if found := what():
+            return found
+        time.sleep(0.01)
+    raise AssertionError("it has not come to pass")
+
+
+@contextmanager
+def running_print(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], LiveLink, Path]]:
+    """Print the quick plan in a process of its own; hand over when there has been light for a second."""
+    plan, rig = write_quick_plan(folder)
+    run = folder / "run"
+    command = [sys.executable, "-m", "vialight", "print", str(plan), "--rig", str(rig), "--out", str(run)]
+    command += ["--resin", "DUDMA", "--resin-voxel", "0.4", "--bin", str(BINNING), "--json", *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        link = wait_for(lambda: find_live_print(run) or (process.poll() is not None and "ended"))
+        assert isinstance(link, LiveLink), process.communicate()
+        shared = Path(link.mailboxes)
+        wait_for(lambda: any(flip.pattern != BLACK for flip in read_flips(shared)))
+        time.sleep(1.0)
+        yield process, link, run
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def child(process: subprocess.Popen[str], word: str) -> psutil.Process:
+    """Return the child process that has a file of the shared folder open by a name."""
+    for one in psutil.Process(process.pid).children(recursive=True):
+        if any(word in mapped.path for mapped in one.memory_maps()):
+            return one
+    raise AssertionError(word)
+
+
+def test_killed_print_is_dark_within_a_quarter_of_a_second_and_its_frames_can_be_used(tmp_path: Path) -> None:
+    with running_print(tmp_path, "--stop", "turns=30") as (process, link, run):
+        flips = Path(link.mailboxes) / "flips"
+        killed = time.monotonic()
+        os.kill(process.pid, signal.SIGKILL)
+        time.sleep(0.6)
+        kept = tmp_path / "kept"
+        kept.mkdir()
+        shutil.copyfile(flips, kept / "flips")
+    last = read_flips(kept)[-1]
+    assert last.pattern == BLACK
+    assert last.monotonic_s - killed < 0.25
+    with open_frames(run / "frames.h5") as frames:
+        assert frames.is_live
+        assert frames.shape[0] > 30
+        count = frames.shape[0]
+        assert frames.time_s is not None
+    told = CliRunner().invoke(main, ["reconstruct", str(run), "--threshold", "100000", "--json"])
+    assert "no surface at 100000" in told.output  # it reads the frames, of which none has so much density
+    assert CliRunner().invoke(main, ["watch", str(run), "--rate", "20", "--json"]).exit_code == 0
+    assert count > 30
+
+
+def test_print_goes_on_after_its_live_measurement_was_killed(tmp_path: Path) -> None:
+    with running_print(tmp_path, "--stop", "turns=4", "--rate", "2") as (process, link, run):
+        child(process, "/snapshot").kill()
+        out, told = process.communicate(timeout=_PATIENCE_S)
+    assert process.returncode == 0, told
+    result = json.loads(out)
+    events = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
+    assert any("has ended" in entry.get("message", "") for entry in events if entry["event"] == "fault")
+    assert any("again" in entry.get("message", "") for entry in events if entry["event"] == "live")
+    assert result["printed"]["ended_by"] == "turns"
+    assert result["printed"]["lit_turns"] == pytest.approx(4.0, abs=0.05)
+    assert result["measured"] is not None
+    printed, meant = load_mesh(run / "surface.stl"), load_mesh(run / "reference.stl")
+    assert printed.volume_mm3 > 0.2 * meant.volume_mm3
+    assert read_json(run / "run.json")["state"] == "done"
+    assert list_history(run)
+    assert (run / "report.html").exists()
+    assert not Path(link.mailboxes).exists()
+
+
+def test_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
+    plan, rig = write_quick_plan(tmp_path)
+    told = CliRunner().invoke(
+        main, ["print", str(plan), "--rig", str(rig), "--out", str(tmp_path), "--stop", "turns=1"]
+    )
+    assert told.exit_code == 2
+    assert "holds something already" in told.output
+
+
+def test_stop_that_is_none_is_refused(tmp_path: Path) -> None:
+    plan, rig = write_quick_plan(tmp_path)
+    told = CliRunner().invoke(main, ["print", str(plan), "--rig", str(rig), "--out", "x", "--stop", "soon"])
+    assert told.exit_code == 2
+    assert "accepted: auto, manual, turns=N" in told.output
