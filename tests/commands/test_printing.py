@@ -42,7 +42,15 @@ def running_print(folder: Path, *options: str) -> Iterator[tuple[subprocess.Pope
     """Print the quick plan in a process of its own; hand over when there has been light for a second."""
     plan, rig = write_quick_plan(folder)
     run = folder / "run"
-    command = [sys.executable, "-m", "vialight", "print", str(plan), "--rig", str(rig), "--out", str(run)]
+    command = [
+        str(Path(sys.executable).with_name("vialight")),
+        "print",
+        str(plan),
+        "--rig",
+        str(rig),
+        "--out",
+        str(run),
+    ]
     command += ["--resin", "DUDMA", "--resin-voxel", "0.4", "--bin", str(BINNING), "--json", *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:

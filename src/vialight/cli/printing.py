@@ -33,7 +33,7 @@ _LINE_EVERY_S = 30.0
 )  # fmt: skip
 @click.option("--threshold", type=float, help="Gelation threshold I_p, counts per mm. [default: the rig's]")
 @click.option("--voxel", type=float, help="Edge of a live voxel, mm. [default: half a pixel]")
-@click.option("--every-deg", type=float, default=360.0, show_default=True, help="Keep a volume and a surface so often.")
+@click.option("--every-deg", type=float, default=360.0, show_default=True, help="Keep a surface so often.")
 @click.option("--longest", type=float, default=40.0, show_default=True, help="Turns after which it ends in any case.")
 @click.option("--tolerance", type=float, help="Largest deviation allowed, mm: gives a verdict.")
 @click.option("--resin", help="Of the simulated printer: DUDMA, BPAGDA, or TOML. [default: the rig's]")
