@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vialight.arrays import Float32Array, FloatArray, Volume
+from vialight.contours import above_ties, contour
 from vialight.errors import InputError
 from vialight.mesh import Mesh, piece_labels
 
@@ -94,32 +95,10 @@ def _without_small_pieces(mesh: Mesh, smallest_mm3: float) -> Mesh:
 
 
 def _flying_edges(volume: Volume, threshold: float) -> Mesh:
-    # Pieces of VTK rather than PyVista: this import takes a third of the time.
-    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
-    from vtkmodules.vtkCommonDataModel import vtkImageData
-    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
-
-    # A voxel that equals the threshold would put several vertices in one place; half a float32 step above, none can.
-    level = np.float32(threshold)
-    above_every_tie = (float(level) + float(np.nextafter(level, np.float32(np.inf)))) / 2
-    density, layers = _closed_at_the_edge(volume.density, above_every_tie)
-    voxel, (origin_z, origin_y, origin_x) = volume.grid.voxel_mm, volume.grid.origin_mm
-    image = vtkImageData()
-    image.SetDimensions(*density.shape[::-1])
-    image.SetSpacing(voxel, voxel, voxel)
-    image.SetOrigin(*(origin - layers * voxel for origin in (origin_x, origin_y, origin_z)))
-    # The array is not copied: `density` must outlive Update().
-    image.GetPointData().SetScalars(numpy_to_vtk(density.ravel(), deep=False))  # type: ignore[no-untyped-call]
-    contour = vtkFlyingEdges3D()
-    contour.SetInputData(image)
-    contour.SetValue(0, above_every_tie)
-    contour.ComputeNormalsOff()
-    contour.ComputeScalarsOff()
-    contour.Update()
-    surface = contour.GetOutput()
-    vertices = vtk_to_numpy(surface.GetPoints().GetData())  # type: ignore[no-untyped-call]
-    faces = vtk_to_numpy(surface.GetPolys().GetConnectivityArray())  # type: ignore[no-untyped-call]
-    return Mesh(vertices.astype(np.float64), faces.astype(np.int64).reshape(-1, 3))
+    level, grid = above_ties(threshold), volume.grid
+    density, layers = _closed_at_the_edge(volume.density, level)
+    z, y, x = (origin - layers * grid.voxel_mm for origin in grid.origin_mm)
+    return contour(density, (z, y, x), grid.voxel_mm, level)
 
 
 def _closed_at_the_edge(density: Float32Array, threshold: float) -> tuple[Float32Array, int]:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from vialight.arrays import Float32Array, Grid
+from vialight.contours import above_ties, contour
 from vialight.errors import InputError
 from vialight.mesh import Mesh
 
@@ -43,35 +44,17 @@ def gelled_surface(conversion: Float32Array, grid: Grid, gel_conversion: float, 
     >>> gelled_surface(ball, grid, 0.5).extents_mm.round(2)
     array([2., 2., 2.])
     """
-    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
-    from vtkmodules.vtkCommonDataModel import vtkImageData
-    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
-
     if not float(conversion.max()) > gel_conversion:
         raise InputError(
             "twin", f"nothing has gelled: conversion is at most {conversion.max():.4g}",
             accepted=f"more than {gel_conversion:g}", remedy="print longer",
         )  # fmt: skip
-    # Half a step above the level, no voxel equals it and no vertices coincide; below it all round, the surface closes.
-    level = np.float32(gel_conversion)
-    above = (float(level) + float(np.nextafter(level, np.float32(np.inf)))) / 2
+    # Below the level all round, so that the surface closes.
     padded = np.pad(conversion.transpose(2, 0, 1), 1)
-    image = vtkImageData()
-    image.SetDimensions(*padded.shape[::-1])
-    image.SetSpacing(grid.voxel_mm, grid.voxel_mm, grid.voxel_mm)
-    image.SetOrigin(*(grid.origin_mm[axis] - grid.voxel_mm for axis in (2, 1, 0)))
-    image.GetPointData().SetScalars(numpy_to_vtk(padded.ravel(), deep=False))  # type: ignore[no-untyped-call]
-    contour = vtkFlyingEdges3D()
-    contour.SetInputData(image)
-    contour.SetValue(0, above)
-    contour.ComputeNormalsOff()
-    contour.ComputeScalarsOff()
-    contour.Update()
-    surface = contour.GetOutput()
-    vertices = vtk_to_numpy(surface.GetPoints().GetData()).astype(np.float64)  # type: ignore[no-untyped-call]
-    faces = vtk_to_numpy(surface.GetPolys().GetConnectivityArray())  # type: ignore[no-untyped-call]
+    z, y, x = (origin - grid.voxel_mm for origin in grid.origin_mm)
+    surface = contour(padded, (z, y, x), grid.voxel_mm, above_ties(gel_conversion))
     middle = np.array([0.0, 0.0, grid.centre_z_mm])
-    return Mesh((vertices - middle) * (1 - shrinkage) + middle, faces.astype(np.int64).reshape(-1, 3))
+    return Mesh((surface.vertices_mm - middle) * (1 - shrinkage) + middle, surface.faces)
 
 
 def gel_times(
