@@ -21,4 +21,4 @@ def test_a_plane_lies_where_interpolation_has_it_and_faces_lower_values() -> Non
 def test_no_float32_equals_a_level_above_ties() -> None:
     for level in (100.0, 0.12, -3.5):
         raised = above_ties(level)
-        assert np.float32(level) < raised < np.nextafter(np.float32(level), np.float32(np.inf))
+        assert float(np.float32(level)) < raised < float(np.nextafter(np.float32(level), np.float32(np.inf)))
