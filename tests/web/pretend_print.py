@@ -39,7 +39,7 @@ from vialight.links import (
 from vialight.mesh import Mesh
 from vialight.plan import Patterns, Plan
 from vialight.report import deviation_colours
-from vialight.store import rig_to_toml, write_history, write_json, write_plan, write_ply, write_stl
+from vialight.store import FrameWriter, rig_to_toml, write_history, write_json, write_plan, write_ply, write_stl
 from vialight.web.reference import ViewGrid, reference_sums
 
 RIG = Rig.model_validate(
@@ -120,6 +120,8 @@ class PretendPrint:
             "surface": 64 * self.pretence.vertices + 2 * 4 * 3 * size * size + 10_000,
         }  # fmt: skip
         self._boxes = {name: Mailbox(self._folder / name, bytes_) for name, bytes_ in room.items()}
+        self._frames = FrameWriter(self.run / "frames.h5", (300, 480))
+        (self.run / "projector.csv").write_text("refresh_s,shown_s,due,shown\n")
         self._control = ControlServer(self._obey)
         LiveLink(os.getpid(), str(self._folder), self._control.address, self._control.key).publish(self.run)
         self._threads = [
@@ -141,6 +143,7 @@ class PretendPrint:
         for thread in self._threads:
             thread.join()
         LiveLink.withdraw(self.run)
+        self._frames.close()
         self._control.close()
         for box in self._boxes.values():
             box.close()
@@ -211,11 +214,15 @@ class PretendPrint:
             {"stage": "ok", "camera": "ok", "projector": "ok", "led": "not answering since 2 s"},
         )  # fmt: skip
         self._boxes["status"].put(status)
+        shown = -1 if status.pattern is None else status.pattern
+        with (self.run / "projector.csv").open("a") as file:
+            file.write(f"{now:.4f},{now:.4f},{shown},{shown}\n")
 
     def _tell_snapshot(self) -> None:
         self._boxes["snapshot"].put(self._snapshot())
-        frame = int(self.now_s * 10)
-        self._boxes["camera"].put(CameraImage(frame, self._picture(), self.now_s, frame * 2.0 % 360))
+        frame, now, picture = self._frames.count, self.now_s, self._picture()
+        self._frames.append(picture, np.deg2rad(now * 20), now)
+        self._boxes["camera"].put(CameraImage(frame, picture, now, now * 20 % 360))
 
     def _snapshot(self) -> Snapshot:
         share = self.share
@@ -223,7 +230,7 @@ class PretendPrint:
         density = [180 * image + 12 * self._noise[: image.shape[0], : image.shape[1]] for image in cured]
         voxel, now = 17.2 / self.pretence.size, self.now_s
         return Snapshot(
-            int(now * 10) + 1, now, now * 20 % 360, 0.06, 10.0, voxel, 0.0, _sums(density), _sums(cured),
+            self._frames.count, now, now * 20 % 360, 0.06, 10.0, voxel, 0.0, _sums(density), _sums(cured),
             share * self.reference.volume_mm3, 0.02,
         )  # fmt: skip
 
@@ -243,7 +250,7 @@ class PretendPrint:
         gel = [np.where(image > 0.2, self.lit_s * (1 - image / 20), np.nan) for image in self._sums]
         rmse = float(np.sqrt(np.mean(deviation**2)))
         return SurfaceSnapshot(
-            int(self.now_s * 10) + 1, self.now_s, self.lit_s, vertices, self.reference.faces.astype(np.int32),
+            self._frames.count, self.now_s, self.lit_s, vertices, self.reference.faces.astype(np.int32),
             deviation, rmse, rmse * 1.1, self.share**2, self.share * self.reference.volume_mm3, _sums(slices),
             _sums(gel), StopForecast(self.pretence.grows_for_s, 20 / (1 + self.lit_s), "volume"),
         )  # fmt: skip
@@ -281,7 +288,12 @@ class PretendPrint:
         write_ply(self.run / "deviation.ply", mesh, {"deviation_mm": deviation})
         write_json(self.run / "metrics.json", {"as_placed": {"rmse_mm": rmse, "iou": 0.97}})
         (self.run / "report.html").write_text("<!doctype html><title>Report</title><h1>Report of the ring</h1>")
-        facts = {"state": "done", "inputs": {"part": {"file": self.pretence.part, "sha256": "0" * 64}}}
+        printed = {"frames": 100, "frames_missed": 2, "lit_s": self.lit_s, "lit_turns": 1.0, "ended_by": "order"}
+        facts = {
+            "state": "done",
+            "printed": printed,
+            "inputs": {"part": {"file": self.pretence.part, "sha256": "0" * 64}},
+        }
         write_json(self.run / "run.json", facts)
 
 

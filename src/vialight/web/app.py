@@ -107,6 +107,8 @@ class PageServer:
             Route(of_run + "/curves/{start:int}", self.show_curves, methods=["GET"]),
             Route(of_run + "/log/{start:int}", self.show_log, methods=["GET"]),
             Route(of_run + "/moments/{number:int}", self.show_moment, methods=["GET"]),
+            Route(of_run + "/moments/{number:int}/camera", self.show_recorded_picture, methods=["GET"]),
+            Route(of_run + "/moments/{number:int}/pattern", self.show_recorded_pattern, methods=["GET"]),
             Route(of_run + "/surfaces/{number:int}", self.show_surface, methods=["GET"]),
             Route(of_run + "/reference", self.show_reference, methods=["GET"]),
             Route(of_run + "/reference-sums", self.show_reference_sums, methods=["GET"]),
@@ -193,6 +195,16 @@ class PageServer:
         """Give the pictures of a moment."""
         data = self._of(self._run(request)).data
         return Response(await self._do(data.moment, request.path_params["number"]), media_type=_BINARY)
+
+    async def show_recorded_picture(self, request: Request) -> Response:
+        """Give the camera's picture of a moment."""
+        data = self._of(self._run(request)).data
+        return _bytes_or_404(await self._do(data.recorded_picture, request.path_params["number"]))
+
+    async def show_recorded_pattern(self, request: Request) -> Response:
+        """Give what was projected at a moment."""
+        data = self._of(self._run(request)).data
+        return _bytes_or_404(await self._do(data.recorded_pattern, request.path_params["number"]))
 
     async def show_surface(self, request: Request) -> Response:
         """Give a surface of the history."""

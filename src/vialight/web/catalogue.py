@@ -113,7 +113,7 @@ def summary(run: Run) -> dict[str, Any]:
     return overview(run) | {
         "files": [name for name, (file, _) in DOWNLOADS.items() if (run.folder / file).is_file()],
         "surfaces": len(list_surfaces(run.folder)),
-        "results": facts.get("results") if isinstance(facts.get("results"), dict) else None,
+        "printed": facts["printed"] if isinstance(facts.get("printed"), dict) else {},
         "metrics": {name: metrics[name] for name in ("as_placed", "aligned") if isinstance(metrics.get(name), dict)},
         "camera": None if rig is None else camera_overlay(rig),
         "projector": None if rig is None else _canvas(rig),
@@ -155,6 +155,8 @@ def _rig(run: Run) -> Rig | None:
 
 
 def _part(facts: Mapping[str, Any]) -> str | None:
+    if isinstance(facts.get("name"), str):
+        return str(facts["name"])
     inputs = facts.get("inputs")
     if not isinstance(inputs, dict):
         return None

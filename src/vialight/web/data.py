@@ -27,6 +27,7 @@ from vialight.store import (
 )
 from vialight.web.catalogue import Run
 from vialight.web.encoding import images_of, pack, pack_surface, to_levels
+from vialight.web.recorded import pattern_shown, recorded_image
 from vialight.web.reference import ReferenceSums, ViewGrid, reference_sums
 
 _WIDEST = 640
@@ -125,6 +126,14 @@ class RunData:
         return pack_surface(
             {"kind": "surface", "number": number}, surface.vertices_mm, surface.faces, surface.deviation_mm
         )
+
+    def recorded_picture(self, number: int) -> bytes:
+        """Return the camera's picture of a moment; `InputError` where it is not recorded."""
+        return self.camera(recorded_image(self.run.folder, number))
+
+    def recorded_pattern(self, number: int) -> bytes | None:
+        """Return what was projected at a moment; `InputError` where that is not recorded."""
+        return self.pattern(pattern_shown(self.run.folder, read_history_numbers(self.run.folder, number).time_s))
 
     def pattern(self, index: int | None) -> bytes | None:
         """Return a pattern of the plan, or black, as a message; None where the run holds no plan."""

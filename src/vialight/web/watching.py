@@ -43,6 +43,10 @@ CHANNELS = {
 """Which kinds of message a socket of each name gets; apart, so that a mesh does not hold up what is said of Stop."""
 _LOOK_S = 0.02
 _HEARTBEAT_S = 0.25
+_STATUS_S = 0.1
+"""Between statuses that say nothing new but time."""
+_PATTERN_S = 0.1
+"""Between pictures of patterns, of which 32 are shown a second."""
 _FOLDER_S = 1.0
 
 
@@ -127,6 +131,7 @@ class RunWatch:
         self._workers = workers
         self._tasks: list[asyncio.Task[None]] = []
         self._seen: dict[str, float] = {}
+        self._published = 0.0
         self._status: PrintStatus | None = None
         self._counts = {"moments": 0, "surfaces": 0, "log": 0}
         self._changed: str | None = None
@@ -200,8 +205,10 @@ class RunWatch:
         return any(self.board.is_read(kind) for kind in ((name, "planes") if name == "surface" else (name,)))
 
     async def _take_status(self, status: PrintStatus) -> None:
-        self._status = status
-        self._publish_status()
+        before, self._status = self._status, status
+        is_news = before is None or _news(before) != _news(status)
+        if is_news or time.monotonic() - self._published >= _STATUS_S:
+            self._publish_status()
 
     async def _take_snapshot(self, snapshot: Snapshot) -> None:
         self.board.publish("snapshot", await self._do(self.data.snapshot, snapshot))
@@ -221,7 +228,7 @@ class RunWatch:
 
     async def _show_pattern(self) -> None:
         while True:
-            await asyncio.sleep(_LOOK_S)
+            await asyncio.sleep(_PATTERN_S)
             status = self._status
             if status is None or status.pattern == self._pattern or not self.board.is_read("pattern"):
                 continue
@@ -233,7 +240,7 @@ class RunWatch:
     def _publish_status(self) -> None:
         if self._changed is None:
             return  # not known yet whether anything prints
-        now = time.monotonic()
+        now = self._published = time.monotonic()
         message = {
             "kind": "status",
             "live": self.link is not None,
@@ -243,6 +250,10 @@ class RunWatch:
             "changed": self._changed,
         }
         self.board.publish("status", to_json(message))
+
+
+def _news(status: PrintStatus) -> tuple[str, str, str, bool]:
+    return status.state, status.message, status.mode, status.pattern is None
 
 
 def _look_at(folder: Path) -> tuple[LiveLink | None, dict[str, int], str]:

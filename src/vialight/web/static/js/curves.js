@@ -1,6 +1,6 @@
 // Small charts over the print's time: what was measured, turns along the top.
 
-import { fit } from "./colours.js";
+import { fit, roundUp } from "./colours.js";
 import { NONE, element, number } from "./text.js";
 
 const MARGIN = { left: 46, right: 12, top: 20, bottom: 22 };
@@ -14,10 +14,25 @@ function ticks(low, high, most) {
   return { found, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
 }
 
+function roundDown(value) {
+  const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
+  return Number(([5, 2, 1].find((step) => step * power <= value * (1 + 1e-9)) * power).toPrecision(3));
+}
+
+// Ticks of a logarithmic axis: 1, 2, 5 where there is room.
+function decades(low, high) {
+  const found = [];
+  for (let power = Math.floor(Math.log10(low) + 1e-9); 10 ** power <= high; power += 1) {
+    for (const step of [1, 2, 5]) found.push(Number((step * 10 ** power).toPrecision(3)));
+  }
+  const inside = found.filter((value) => value >= low * 0.999 && value <= high * 1.001);
+  return { found: inside.length > 5 ? inside.filter((value) => /^[0.]*10*$/.test(String(value))) : inside };
+}
+
 class Chart {
   // `series`: [{ key, name, colour, dash, scale }]; `band`: the key of a standard deviation around the first.
-  constructor(parent, { title, unit, series, band = null, fromZero = true }) {
-    Object.assign(this, { title, unit, series, band, fromZero, rows: [] });
+  constructor(parent, { title, unit, series, band = null, fromZero = true, isLog = false }) {
+    Object.assign(this, { title, unit, series, band, fromZero, isLog, rows: [] });
     this.canvas = element("canvas");
     this.canvas.setAttribute("role", "img");
     this.readout = element("p");
@@ -52,12 +67,13 @@ class Chart {
       this.say(null);
       return;
     }
-    const low = this.fromZero ? Math.min(0, ...values) : Math.min(...values);
-    const high = Math.max(...values, low + 1e-6);
+    const { low, high } = this.range(values);
     const end = Math.max(this.rows[this.rows.length - 1].time_s, this.rows[0].time_s + 1);
     const start = Math.min(this.rows[0].time_s, end - 1);
     const x = (time) => MARGIN.left + (time - start) / (end - start) * (width - MARGIN.left - MARGIN.right);
-    const y = (value) => height - MARGIN.bottom - (value - low) / (high - low) * (height - MARGIN.top - MARGIN.bottom);
+    const place = this.isLog ? (value) => Math.log10(Math.max(value, low)) : (value) => value;
+    const perUnit = (height - MARGIN.top - MARGIN.bottom) / (place(high) - place(low));
+    const y = (value) => height - MARGIN.bottom - (place(value) - place(low)) * perUnit;
     this.axes(context, { x, y, start, end, low, high, width, height });
     if (this.band) this.drawBand(context, x, y);
     for (const line of this.series) this.drawLine(context, line, x, y);
@@ -74,10 +90,20 @@ class Chart {
     } else this.say(this.rows[this.rows.length - 1]);
   }
 
+  // A logarithmic axis ends at whole steps of 1, 2, 5, and shows what is large without hiding what is small.
+  range(values) {
+    if (this.isLog) {
+      const known = values.filter((value) => value > 0);
+      return { low: roundDown(Math.min(...known)), high: roundUp(Math.max(...known) * 1.001) };
+    }
+    const low = this.fromZero ? Math.min(0, ...values) : Math.min(...values);
+    return { low, high: Math.max(...values, low + 1e-6) };
+  }
+
   axes(context, { x, y, start, end, low, high, width, height }) {
     context.lineWidth = 1;
     context.fillStyle = "#9aa5b8";
-    const vertical = ticks(low, high, 4);
+    const vertical = this.isLog ? decades(low, high) : ticks(low, high, 4);
     context.textAlign = "right";
     context.textBaseline = "middle";
     for (const value of vertical.found) {
@@ -86,7 +112,7 @@ class Chart {
       context.moveTo(MARGIN.left, y(value));
       context.lineTo(width - MARGIN.right, y(value));
       context.stroke();
-      context.fillText(number(value, vertical.digits), MARGIN.left - 5, y(value));
+      context.fillText(this.isLog ? String(value) : number(value, vertical.digits), MARGIN.left - 5, y(value));
     }
     const along = ticks(start, end, Math.max(2, width / 90));
     context.textAlign = "center";
@@ -152,7 +178,7 @@ class Chart {
 export class Curves {
   constructor(parent) {
     this.charts = [
-      new Chart(parent, { title: "RMSE", unit: "mm", series: [
+      new Chart(parent, { title: "RMSE", unit: "mm", isLog: true, series: [
         { key: "rmse_mm", name: "print to reference", colour: "#8fb0ff" },
         { key: "reverse_rmse_mm", name: "reference to print", colour: "#ffd76a", dash: [6, 4] }] }),
       new Chart(parent, { title: "IoU", unit: "share", series: [{ key: "iou", name: "IoU", colour: "#8fb0ff" }] }),

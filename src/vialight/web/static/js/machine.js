@@ -6,10 +6,15 @@ const SHORT_OF_DISK_S = 600;
 const MISSED_SHARE = 0.1;
 
 export class Machine {
-  // `status` is what the print reports; null where none runs.
-  show(status) {
+  // `status` is what the print reports; null where none runs: then `printed` is what the run says of its print.
+  show(status, printed) {
     if (!status) {
-      facts($("machine-facts"), [["State", "not running"]]);
+      facts($("machine-facts"), [
+        ["Frames", printed.frames === undefined ? NONE : `${printed.frames} recorded, ${printed.frames_missed} missed`],
+        ["Light was on", `${duration(printed.lit_s)}, ${number(printed.lit_turns, 1)} turns`],
+        ["Ended by", printed.ended_by ?? NONE],
+        ["Fault", printed.fault ?? "none"],
+      ]);
       return;
     }
     const { snapshot } = this;

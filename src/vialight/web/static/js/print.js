@@ -10,7 +10,7 @@ import { Results } from "./runs.js";
 import { Stop } from "./stop.js";
 import { SurfaceView } from "./surface.js";
 import { Timeline } from "./timeline.js";
-import { $, STATES, duration, element, millimetres, number } from "./text.js";
+import { $, STATES, duration, element, millimetres, number, write } from "./text.js";
 
 export class PrintPage {
   // `onLockedOut` is called where the server no longer knows this page.
@@ -50,7 +50,7 @@ export class PrintPage {
   enter(run) {
     this.leave();
     this.run = run;
-    $("run-name").textContent = this.run.name;
+    $("run-name").textContent = [this.run.name, this.run.part].filter(Boolean).join(" \u00b7 ");
     document.title = `${this.run.name} \u2013 vialight`;
     Object.assign(this, {
       message: null, receivedAt: performance.now(), changed: null, logCount: 0, isFetchingLog: false, hasMoment: false });
@@ -164,11 +164,11 @@ export class PrintPage {
 
   takeImage(message) {
     const { header, arrays } = message;
-    if (header.kind === "camera") this.camera.show(message);
-    else if (header.kind === "pattern") this.pattern.show(message);
-    else if (header.kind === "reference") this.projections.show(message);
+    if (header.kind === "reference") this.projections.show(message);
     else if (!this.timeline.isBack) {
-      if (header.kind === "snapshot") {
+      if (header.kind === "camera") this.camera.show(message);
+      else if (header.kind === "pattern") this.pattern.show(message);
+      else if (header.kind === "snapshot") {
         this.projections.show(message);
         this.planes.voxelMm = header.voxel_mm;
         this.machine.snapshot = header;
@@ -217,12 +217,22 @@ export class PrintPage {
     this.projections.show(pictures);
     this.planes.show(pictures.arrays, pictures.header.voxel_mm);
     this.curves.show(this.timeline.rows, run.speed_deg_s, this.timeline.cursorS);
+    await this.showRecorded(run, row);
     const surface = this.timeline.surfaceAt(row.number);
     if (this.wanted !== null || surface === null) return;
     const shape = await getBinary(`/api/runs/${run.key}/surfaces/${surface}`);
     if (this.run !== run || this.isLiveNow()) return;
     this.surface.show(shape);
     this.tellSurface(row);
+  }
+
+  // What camera and projector saw and showed then; a run that was moved may have left that behind.
+  async showRecorded(run, row) {
+    const of = (what) => getBinary(`/api/runs/${run.key}/moments/${row.number}/${what}`).catch(() => null);
+    const [picture, pattern] = await Promise.all([of("camera"), of("pattern")]);
+    if (this.run !== run || this.isLiveNow()) return;
+    if (picture) this.camera.show(picture);
+    if (pattern) this.pattern.show(pattern);
   }
 
   isLiveNow() {
@@ -239,15 +249,20 @@ export class PrintPage {
     const state = live && status ? status.state : live ? "preflight" : this.run.state;
     const label = STATES[state] ?? state;
     const text = live && status?.message ? `${label}: ${status.message}` : label;
-    if ($("run-state").textContent !== text) $("run-state").textContent = text;
-    $("run-state").dataset.state = state;
+    write($("run-state"), text);
+    if ($("run-state").dataset.state !== state) $("run-state").dataset.state = state;
     const figures = live && status ? [
       ["Turn", number(status.turn, 1)], ["Elapsed", duration(status.time_s)],
       ["Light on", duration(status.lit_s)], ["Remaining", duration(status.remaining_s)],
     ] : this.ended();
-    $("figures").replaceChildren(...figures.map(([term, value]) => element("div", {},
-      element("dt", { textContent: term }), element("dd", { textContent: value }))));
-    this.machine.show(live ? status : null);
+    const list = $("figures");
+    while (list.children.length > figures.length) list.lastChild.remove();
+    while (list.children.length < figures.length) list.append(element("div", {}, element("dt"), element("dd")));
+    figures.forEach(([term, value], index) => {
+      write(list.children[index].firstChild, term);
+      write(list.children[index].lastChild, value);
+    });
+    this.machine.show(live ? status : null, this.run.printed);
   }
 
   ended() {
@@ -290,7 +305,8 @@ function logLine(event) {
   const { time_s: time, event: name, message, wall_s: _, ...rest } = event;
   const word = (value) => (typeof value === "object" ? JSON.stringify(value) : value);
   const details = Object.entries(rest).map(([key, value]) => `${key} ${word(value)}`).join(", ");
-  const text = [name, message, details].filter(Boolean).join(": ");
+  const by = rest.by ? ` (${rest.by})` : "";
+  const text = message ? `${message}${by}` : [name, details].filter(Boolean).join(": ");
   const when = time === undefined ? "" : `${number(time, 1)} s`;
   return element("li", {}, element("span", { textContent: when }), element("span", { textContent: text }));
 }

@@ -46,9 +46,17 @@ export const STATES = {
 
 // A list of terms; rows are [term, text] or [term, text, "bad"].
 export function facts(list, rows) {
-  list.replaceChildren(...rows.flatMap(([term, text, level]) => {
-    const value = element("dd", { textContent: text });
-    if (level) value.dataset.level = level;
-    return [element("dt", { textContent: term }), value];
-  }));
+  while (list.children.length > 2 * rows.length) list.lastChild.remove();
+  while (list.children.length < 2 * rows.length) list.append(element(list.children.length % 2 ? "dd" : "dt"));
+  rows.forEach(([term, text, level = ""], index) => {
+    write(list.children[2 * index], term);
+    const value = list.children[2 * index + 1];
+    write(value, text);
+    if ((value.dataset.level ?? "") !== level) value.dataset.level = level;
+  });
+}
+
+// Change a text only where it differs: what is written again is laid out again.
+export function write(target, text) {
+  if (target.textContent !== text) target.textContent = text;
 }
