@@ -25,7 +25,8 @@ from vialight.links import LiveLink, find_live_print
 from vialight.mesh import load_mesh
 from vialight.store import list_history, open_frames, read_json
 
-_PATIENCE_S = 120.0
+_PATIENCE_S = 400.0
+"""Kernels are compiled first where nothing has run before."""
 
 
 def wait_for(what: Callable[[], Any]) -> Any:
