@@ -28,7 +28,6 @@ from vialight.twin import (
 )
 from vialight.twin.poses import Pose
 from vialight.twin.sensor import Sensor, StrayLight
-from vialight.twin.truth import height_map
 
 RIG, RESIN = find_rig("orth2022-190"), load_resin("DUDMA")
 BRIGHT = RIG.model_copy(  # prints in a quarter of the time
@@ -141,7 +140,7 @@ def test_a_cylinder_gels_where_its_light_was() -> None:
     assert surface.is_closed
     radius = np.hypot(*surface.vertices_mm[:, :2].T)[np.abs(surface.vertices_mm[:, 2]) < 1.0]
     assert 2.7 < np.median(radius) < 3.15
-    heights = height_map(twin.state.conversion, grid, RESIN.chemistry.gel_conversion, set_down_at_mm=(0.3, 0.0))
+    heights = twin.height_map(set_down_at_mm=(0.3, 0.0))
     columns = np.flatnonzero(np.isfinite(heights).any(axis=0))
     assert (columns.mean() - (heights.shape[1] - 1) / 2) * 0.05 == pytest.approx(0.3, abs=0.06)
     assert np.isfinite(heights).any(axis=0).sum() * 0.05 == pytest.approx(2 * np.median(radius), abs=0.15)

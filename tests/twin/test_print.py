@@ -200,6 +200,9 @@ def test_what_is_simulated_is_reconstructed_as_it_was(plan_path: Path, printer: 
     result = simulate_print(plan_path, printer, "DUDMA", tmp_path / "run", turns=3.2, voxel_mm=0.2, settings=settings)
     assert result["truth"]["volume_mm3"] == pytest.approx(result["truth"]["reference_volume_mm3"], rel=0.25)
     assert result["printed"]["frames_dropped"] == 0
+    heights = np.load(tmp_path / "run" / "heights.npy")
+    pixel_mm = result["truth"]["heights"]["pixel_mm"]
+    assert np.nansum(heights) * pixel_mm**2 == pytest.approx(result["truth"]["volume_mm3"], rel=0.1)
     # The density at the gel point, in binned pixels: far from half of that of cured resin.
     scattering = RESIN.scattering
     threshold = 4 * float(scattering.density(np.array([RESIN.chemistry.gel_conversion], np.float32))[0])

@@ -190,7 +190,9 @@ def _given_projections(options: dict[str, Any]) -> GivenProjections | None:
 @click.argument("plan", type=_FILE)
 @click.option("--rig", required=True, type=_FILE, help="The printer as it is: TOML, or orth2022-145, orth2022-190.")
 @click.option("--resin", required=True, help="What is in its vial: DUDMA, BPAGDA, or TOML.")
-@click.option("--out", required=True, type=_FOLDER, help="Folder for frames.h5, truth.stl, rig.toml, run.json.")
+@click.option(
+    "--out", required=True, type=_FOLDER, help="Folder for frames.h5, truth.stl, heights.npy, rig.toml, run.json."
+)
 @click.option("--turns", type=float, help="Light off after so many. [default: when as much will gel as was meant]")
 @click.option("--dose", type=float, help="Light off after this dose in the part, mJ/cm^2.")
 @click.option("--voxel", type=float, default=0.1, show_default=True, help="Edge of a voxel of resin, mm.")

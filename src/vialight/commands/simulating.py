@@ -13,6 +13,7 @@ import numpy as np
 from vialight.commands.provenance import inputs_json, versions
 from vialight.config import Rig
 from vialight.errors import InputError
+from vialight.mesh import Mesh
 from vialight.plan import Plan
 from vialight.store import FrameWriter, read_plan, rig_to_toml, staged_folder, write_json, write_stl
 from vialight.twin import (
@@ -32,6 +33,8 @@ DARK_FRAMES = 8
 """Frames of the empty vial that a recording begins with, as in the shared cases."""
 LONGEST_TURNS = 60.0
 """Of a print that ends by itself."""
+PROFILE_PIXEL_MM = 0.05
+"""Of the washed part's height map, as in the shared cases."""
 
 
 def simulate_print(
@@ -58,7 +61,7 @@ def simulate_print(
     resin
         What is in its vial: the name of a preset, or TOML.
     out
-        Folder for ``frames.h5``, ``truth.stl``, ``reference.stl``, ``rig.toml`` and ``run.json``.
+        Folder for ``frames.h5``, ``truth.stl``, ``heights.npy``, ``reference.stl``, ``rig.toml`` and ``run.json``.
     turns, dose_mj_per_cm2
         When the light goes off: after turns, or a dose in the part; by default when what will gel, with
         the dark cure, is as large as the part.
@@ -106,7 +109,7 @@ def simulate_print(
         write_stl(folder / "reference.stl", plan.reference)
         recorded = believed.model_copy(update={"camera": believed.need_camera().binned(settings.binning)})
         (folder / "rig.toml").write_text(rig_to_toml(recorded), encoding="utf-8")
-        gelled = np.isfinite(twin.gel_time_s)
+        np.save(folder / "heights.npy", twin.height_map(pixel_mm=PROFILE_PIXEL_MM))
         result = {
             "inputs": inputs_json(plan=plan_path, **({} if faults is None else {"faults": faults})),
             "rig": rig.model_dump(mode="json", by_alias=True, exclude_none=True),
@@ -114,20 +117,26 @@ def simulate_print(
             "settings": asdict(settings) | {"voxel_mm": voxel_mm},
             "believed": wrong.believed or {},
             "printed": printed | {"dose_a_turn_mj_per_cm2": a_turn},
-            "truth": {
-                "file": "truth.stl",
-                "volume_mm3": truth.volume_mm3,
-                "reference_volume_mm3": plan.reference.volume_mm3,
-                "first_gelled_s": float(twin.gel_time_s[gelled].min()),
-                "last_gelled_s": float(twin.gel_time_s[gelled].max()),
-                "largest_dose_mj_per_cm2": float(twin.dose_mj_per_cm2.max()),
-                "critical_dose_mj_per_cm2": model.chemistry.critical_dose_mj_per_cm2(model.absorption_per_mm),
-            },
+            "truth": _truth_json(twin, truth, plan),
             "versions": versions(),
             "elapsed_s": round(time.monotonic() - started, 3),
         }
         write_json(folder / "run.json", result)
     return result
+
+
+def _truth_json(twin: Twin, truth: Mesh, plan: Plan) -> dict[str, Any]:
+    gelled = np.isfinite(twin.gel_time_s)
+    return {
+        "file": "truth.stl",
+        "volume_mm3": truth.volume_mm3,
+        "reference_volume_mm3": plan.reference.volume_mm3,
+        "heights": {"file": "heights.npy", "pixel_mm": PROFILE_PIXEL_MM},
+        "first_gelled_s": float(twin.gel_time_s[gelled].min()),
+        "last_gelled_s": float(twin.gel_time_s[gelled].max()),
+        "largest_dose_mj_per_cm2": float(twin.dose_mj_per_cm2.max()),
+        "critical_dose_mj_per_cm2": twin.resin.chemistry.critical_dose_mj_per_cm2(twin.resin.absorption_per_mm),
+    }
 
 
 def _reach_mm(rig: Rig) -> float:

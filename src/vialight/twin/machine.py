@@ -21,7 +21,7 @@ from vialight.twin.poses import Pose
 from vialight.twin.presets import ResinModel
 from vialight.twin.rays import points_on_disk
 from vialight.twin.settings import TwinSettings
-from vialight.twin.truth import gel_times, gelled_surface
+from vialight.twin.truth import gel_times, gelled_surface, height_map
 
 _LARGEST_TURN_RAD = float(np.radians(1.0))
 """An object that turns further under one image is exposed in several poses."""
@@ -202,6 +202,15 @@ class Twin:
         """Return the gelled surface; InputError where nothing has gelled."""
         chemistry = self.resin.chemistry
         return gelled_surface(self.state.conversion, self.grid, chemistry.gel_conversion, shrinkage=self._shrinkage())
+
+    def height_map(
+        self, *, pixel_mm: float = 0.05, set_down_at_mm: tuple[float, float] = (0.0, 0.0)
+    ) -> NDArray[np.float64]:
+        """Return what a profilometer measures of the washed part, see `vialight.twin.truth.height_map`."""
+        return height_map(
+            self.state.conversion, self._shrunk_grid(), self.resin.chemistry.gel_conversion, pixel_mm=pixel_mm,
+            set_down_at_mm=set_down_at_mm,
+        )  # fmt: skip
 
     @property
     def gelled_volume_mm3(self) -> float:
