@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from printing.prints import BINNING, write_quick_plan
 from vialight.cli import main
 from vialight.devices.simulated.display import BLACK, read_flips
-from vialight.links import LiveLink, find_live_print
+from vialight.links import LiveLink, Mailbox, find_live_print
 from vialight.mesh import load_mesh
 from vialight.store import list_history, open_frames, read_json
 
@@ -78,6 +78,9 @@ def child(process: subprocess.Popen[str], word: str) -> psutil.Process:
 def test_killed_print_is_dark_within_a_quarter_of_a_second_and_its_frames_can_be_used(tmp_path: Path) -> None:
     with running_print(tmp_path, "--stop", "turns=30") as (process, link, run):
         flips = Path(link.mailboxes) / "flips"
+        told = Mailbox(Path(link.mailboxes) / "camera").newest()
+        assert told is not None
+        recorded = told[1].frame + 1
         killed = time.monotonic()
         os.kill(process.pid, signal.SIGKILL)
         time.sleep(0.6)
@@ -89,13 +92,10 @@ def test_killed_print_is_dark_within_a_quarter_of_a_second_and_its_frames_can_be
     assert last.monotonic_s - killed < 0.25
     with open_frames(run / "frames.h5") as frames:
         assert frames.is_live
-        assert frames.shape[0] > 30
-        count = frames.shape[0]
-        assert frames.time_s is not None
-    told = CliRunner().invoke(main, ["reconstruct", str(run), "--threshold", "100000", "--json"])
-    assert "no surface at 100000" in told.output  # it reads the frames, of which none has so much density
+        assert frames.shape[0] >= recorded > 1
+    shown = CliRunner().invoke(main, ["reconstruct", str(run), "--threshold", "100000", "--json"])
+    assert "no surface at 100000" in shown.output  # it reads the frames, of which none has so much density
     assert CliRunner().invoke(main, ["watch", str(run), "--rate", "20", "--json"]).exit_code == 0
-    assert count > 30
 
 
 def test_print_goes_on_after_its_live_measurement_was_killed(tmp_path: Path) -> None:
