@@ -46,9 +46,10 @@ def main() -> None:
             plain_pages(client, key, run, 1)
             plain_pages(client, key, run, 5)
             browser_pages(browser, client, key, run, 1)
-            browser_pages(browser, client, key, run, 5)
         row("Stop to black, a mesh under way to a page that does not take it, s", stops(folder), "< 0.5")
         row("Stop to black, pressed in chromium under full load, s", stops(folder, browser), "< 0.5")
+        with printing(folder / "five") as (client, key, run):
+            browser_pages(browser, client, key, run, 5)
 
 
 def row(what: str, found: str, wanted: str) -> None:
@@ -90,7 +91,9 @@ def plain_pages(client: Client, key: str, run: Path, count: int) -> None:
     threads = [Listener(client, key, channel, began_s(run)) for _ in range(count) for channel in KINDS]
     for thread in threads:
         thread.start()
-    time.sleep(2)
+    time.sleep(3)
+    for thread in threads:
+        thread.came.clear()
     hz = publishing_hz(run, WATCHED_S)
     for thread in threads:
         thread.over.set()
