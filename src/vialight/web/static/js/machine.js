@@ -24,7 +24,7 @@ export class Machine {
       ["Rate", snapshot ? `${number(snapshot.frame_rate_hz, 1)} frames/s` : NONE],
       ["Latency", snapshot ? `${number(snapshot.latency_s * 1000, 0)} ms from frame to snapshot` : NONE],
       ["Older than a turn", snapshot ? `${number(snapshot.provisional_share * 100, 0)} % of rays` : NONE],
-      ["Disk", `${bytes(free)} free, lasts ${duration(left)}`, left < SHORT_OF_DISK_S ? "bad" : ""],
+      ["Disk", `${bytes(free)} free, lasts ${duration(left)}`, left !== null && left < SHORT_OF_DISK_S ? "bad" : ""],
       ["Mode", status.mode],
       ...Object.entries(status.devices).map(([name, health]) => [name, health, health === "ok" ? "" : "bad"]),
     ]);

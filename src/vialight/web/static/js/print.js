@@ -101,10 +101,11 @@ export class PrintPage {
     this.message = header;
     this.receivedAt = performance.now();
     const { live, status } = header;
-    this.stop.see(live, status);
+    const canStop = live && status?.state !== "replay";
+    this.stop.see(canStop, status);
     this.tellState();
     this.timeline.setLive(live);
-    $("orders").hidden = !live;
+    $("orders").hidden = !canStop;
     if (wasLive && !live) this.timeline.toNewest();
     if (header.changed !== this.changed) this.renew(header.changed);
     this.getCurves(header.counts);

@@ -41,7 +41,7 @@ export function bytes(count) {
 export const STATES = {
   preflight: "Checking the machine", background: "Recording the background", printing: "Printing",
   dark: "Light held off by a fault", after: "Light off, watching what still cures", finishing: "Finishing",
-  done: "Done", failed: "Failed", unknown: "No state recorded",
+  replay: "Replaying a recording", done: "Done", failed: "Failed", unknown: "No state recorded",
 };
 
 // A list of terms; rows are [term, text] or [term, text, "bad"].
