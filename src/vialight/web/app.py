@@ -41,6 +41,8 @@ _TYPES = {
 _REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'; sandbox"
 """A report has its style inside; it needs no script, and gets none even if one had found its way in."""
 _BINARY = "application/octet-stream"
+_KEPT_IDLE = 3
+"""Runs without a page whose content is still kept."""
 
 
 def static_files() -> dict[str, tuple[bytes, str]]:
@@ -146,6 +148,8 @@ class PageServer:
 
     def _of(self, run: Run) -> _Shown:
         if run.key not in self._shown:
+            for key in [key for key, shown in self._shown.items() if not shown.sockets][:-_KEPT_IDLE]:
+                del self._shown[key]  # patterns and meshes of runs that nobody looks at any more
             data = RunData(run)
             self._shown[run.key] = _Shown(data, RunWatch(data, self.workers))
         return self._shown[run.key]
