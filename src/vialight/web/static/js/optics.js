@@ -84,11 +84,12 @@ export class PatternView {
 
   show(message) {
     this.message = message;
-    if (message.arrays.levels) grey(this.source, message.arrays.levels, (level) => level);
+    // Most levels of a pattern are low: shown as they are, they look black.
+    if (message.arrays.levels) grey(this.source, message.arrays.levels, (level) => Math.round(Math.sqrt(255 * level)));
     this.redraw();
     const { index, angle_deg: angle } = message.header;
     this.caption.textContent = index === null ? "The projector shows black."
-      : `The projector shows pattern ${index} (${number(angle, 0)}\u00b0).`;
+      : `The projector shows pattern ${index} (${number(angle, 0)}\u00b0), here brightened.`;
   }
 
   redraw() {

@@ -225,6 +225,7 @@ export class PrintPage {
     if (this.run !== run || this.isLiveNow()) return;
     this.surface.show(shape);
     this.tellSurface(row);
+    if (surface !== row.number) this.surface.tell(`Surface of frame ${surface}; the next one was kept later.`);
   }
 
   // What camera and projector saw and showed then; a run that was moved may have left that behind.
@@ -306,7 +307,7 @@ function logLine(event) {
   const { time_s: time, event: name, message, wall_s: _, ...rest } = event;
   const word = (value) => (typeof value === "object" ? JSON.stringify(value) : value);
   const details = Object.entries(rest).map(([key, value]) => `${key} ${word(value)}`).join(", ");
-  const by = rest.by ? ` (${rest.by})` : "";
+  const by = rest.by && !message?.includes(rest.by) ? ` (${rest.by})` : "";
   const text = message ? `${message}${by}` : [name, details].filter(Boolean).join(": ");
   const when = time === undefined ? "" : `${number(time, 1)} s`;
   return element("li", {}, element("span", { textContent: when }), element("span", { textContent: text }));

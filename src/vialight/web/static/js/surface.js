@@ -112,8 +112,8 @@ export class SurfaceView {
     this.deviation = message.arrays.deviation?.values ?? null;
     const isEmpty = !message.arrays.faces.values.length;
     this.solid.visible = !isEmpty;
-    $("surface-notice").textContent = isEmpty ? "Nothing has gelled yet."
-      : message.header.simplified ? "Shown coarser than it was measured." : "";
+    const coarser = message.header.simplified ? "Shown coarser than it was measured." : "";
+    this.tell(isEmpty ? "Nothing has gelled yet." : coarser);
     if (!isEmpty) {
       this.swap(this.solid, message);
       this.solid.geometry.computeBoundingBox();
@@ -121,6 +121,10 @@ export class SurfaceView {
       if (!this.isPlaced) this.place();
     }
     this.clip();
+  }
+
+  tell(text) {
+    $("surface-notice").textContent = text;
   }
 
   // Colour the vertices; the scale is the user's, or follows the 99 % quantile in steps of 1, 2, 5.
@@ -229,7 +233,7 @@ export class SurfaceView {
     if (!hit) return;
     const value = this.deviation[hit.face.a] * this.header.deviation_unit_mm;
     const place = ["x", "y", "z"].map((axis) => number(hit.point[axis], 1)).join(", ");
-    $("surface-notice").textContent = `${signed(value)} mm at (${place}) mm`;
+    this.tell(`${signed(value)} mm at (${place}) mm`);
   }
 
   // Draw once, when the browser is about to show the next picture; but never before the graphics processor is done with
