@@ -138,7 +138,7 @@ def print_part(
     settings, live, simulation = settings or PrintSettings(), live or LiveOptions(), simulation or Simulation()
     job = _Job.read(Path(plan_path), rig_path, live, simulation)
     on_step("rehearsing the print, to know when to stop")
-    model = stop_model_for(job.plan, job.rig, job.resin) if settings.stop == "auto" else None
+    model = stop_model_for(job.plan, job.recorded, job.resin) if settings.stop == "auto" else None
     run = _new_folder(Path(out))
     started = time.monotonic()
     result = job.write_to(run, settings)
