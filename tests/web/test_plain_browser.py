@@ -1,4 +1,4 @@
-"""The page in a browser that cannot draw in 3-D; apart from the other pages, since Playwright runs one browser at a time."""
+"""The page in a browser that cannot draw in 3-D; apart from the others, since Playwright has one browser at a time."""
 
 from __future__ import annotations
 

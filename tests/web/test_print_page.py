@@ -49,7 +49,7 @@ def test_a_print_on_the_twin_is_seen_from_start_to_report_and_stopped_on_the_way
         wait(page, "document.querySelectorAll('.projections canvas[style]').length === 9", timeout_s=60)
         wait(page, "/^The projector shows pattern \\d+ /.test(document.getElementById('pattern-caption').textContent)")
         wait(page, "document.getElementById('camera-caption').textContent.includes('as the rig has them')")
-        wait(page, "performance.getEntriesByName('snapshot').length > 20", timeout_s=60)
+        wait(page, "/RMSE \\d/.test(document.getElementById('surface-numbers').textContent)", timeout_s=60)
         wait(page, "Number(document.getElementById('moment').max) >= 2", timeout_s=60)
         page.click("#stop-button")
         wait(page, "document.getElementById('stop-button').dataset.state === 'confirmed'")

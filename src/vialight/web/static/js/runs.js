@@ -43,7 +43,7 @@ export class Results {
       ["RMSE, reference to print", millimetres(placed.reverse_rmse_mm)],
       ["IoU", number(placed.iou, 3)],
       ["Volume error", placed.volume_error_percent == null ? NONE : `${number(placed.volume_error_percent, 1)} %`],
-    ] : [["Measured", "not yet"]];
+    ] : [["Measured", isLive ? "not yet" : "nothing: there is no surface"]];
     facts($("results-numbers"), rows);
     const files = run.files.filter((name) => FILES[name]).map((name) => element("a", {
       href: `/api/runs/${run.key}/files/${name}`, textContent: FILES[name] }));
