@@ -194,3 +194,37 @@ def test_a_binned_pixel_lies_at_the_middle_of_those_it_sums(binning: int, index:
     assert (index - binned.axis_column) * binned.pixel_mm == pytest.approx(middle, abs=1e-9)
     middle = np.mean([(camera.optical_row - row) * camera.pixel_mm for row in range(first, first + binning)])
     assert (binned.optical_row - index) * binned.pixel_mm == pytest.approx(middle, abs=1e-9)
+
+
+def test_instruments_and_calibrations_are_read(tmp_path: Path) -> None:
+    text = WHOLE_RIG.replace("[projector]", 'driver = "aravis"\n[camera.settings]\nexposure_s = 0.05\n[projector]')
+    text += "run_out = { radius_mm = 0.02, phase_deg = 30.0 }\n[uncertainty.camera]\naxis_column = 0.01\n"
+    text += '[calibration.axis]\ndate = "2026-11-25"\n'
+    rig = load_rig(write_rig(tmp_path, text))
+    assert rig.camera is not None
+    assert rig.camera.settings is not None
+    assert rig.camera.settings.exposure_s == 0.05
+    assert rig.stage.run_out is not None
+    assert rig.stage.run_out.radius_mm == 0.02
+    assert rig.uncertainty is not None
+    assert rig.uncertainty.camera == {"axis_column": 0.01}
+    assert rig.calibration is not None
+    assert rig.calibration["axis"].date == "2026-11-25"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[camera.settings]\nshutter = 3", ("[camera.settings]", "unknown key shutter", "exposure_s")),
+        ('[camera.settings]\npixel_format = "RGB8"', ("pixel_format", "Mono12")),
+        ("[camera.settings]\nregion = [1, 2]", ("region",)),
+        ("[camera.settings]\nbinning = 0", ("binning", "greater than or equal to 1")),
+        ('driver = "webcam"', ("driver", "aravis")),
+        ("[calibration.axis]\nfile = 3", ("[calibration.axis]", "date")),
+        ("[uncertainty.camera]\naxis = 0.1", ("uncertainty", "camera has no key axis")),
+        ("[uncertainty.camera]\naxis_column = -0.1", ("axis_column", "greater than or equal to 0")),
+    ],
+)
+def test_faults_in_inner_tables_name_the_table(tmp_path: Path, text: str, told: tuple[str, ...]) -> None:
+    message = refusal(tmp_path, WHOLE_RIG.replace("[projector]", f"{text}\n[projector]"))
+    assert all(part in message for part in told), message

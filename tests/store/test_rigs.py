@@ -23,7 +23,42 @@ tables = st.fixed_dictionaries(
         ),
         "camera": st.fixed_dictionaries(
             {"pixel_mm": lengths, "axis_column": st.floats(-1e3, 1e3), "optical_row": st.just(100.0)},
-            optional={"distance_mm": lengths | st.just(float("inf"))},
+            optional={
+                "distance_mm": lengths | st.just(float("inf")),
+                "driver": st.sampled_from(["aravis", "harvesters"]),
+                "settings": st.fixed_dictionaries(
+                    {},
+                    optional={
+                        "device": st.text(max_size=20),
+                        "exposure_s": lengths,
+                        "region": st.tuples(*[st.integers(0, 4096)] * 4),
+                    },
+                ),
+            },
+        ),
+        "projector": st.fixed_dictionaries(
+            dict.fromkeys(["distance_mm", "pixel_mm"], lengths)
+            | {
+                "columns": st.just(1024),
+                "rows": st.just(768),
+                "axis_column": st.just(511.5),
+                "azimuth_deg": st.just(-90),
+            },
+            optional={
+                "settings": st.fixed_dictionaries(
+                    {"monitor": st.integers(0, 3) | st.text(max_size=9)},
+                    optional={"linearisation": st.lists(st.tuples(st.floats(0, 255), st.floats(0, 1)), max_size=3)},
+                )
+            },
+        ),
+        "stage": st.fixed_dictionaries(
+            {"run_out": st.fixed_dictionaries({"radius_mm": lengths, "phase_deg": st.just(9.0)})}
+        ),
+        "uncertainty": st.fixed_dictionaries(
+            {"camera": st.dictionaries(st.sampled_from(["axis_column", "pixel_mm"]), lengths)}
+        ),
+        "calibration": st.dictionaries(
+            st.sampled_from(["axis", "threshold"]), st.fixed_dictionaries({"date": st.just("2026-11-25")})
         ),
     },
 )

@@ -1,6 +1,7 @@
 """Rigs as TOML text: what a plan keeps, and what calibration gives back.
 
-Written here: Python reads TOML but does not write it, and a rig needs no more of it than numbers, strings and tables.
+Written here: Python reads TOML but does not write it, and a rig needs no more of it than numbers, strings,
+lists and tables.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ def _lines(table: Mapping[str, Any], prefix: str) -> list[str]:
     return lines
 
 
-def _value(value: str | float | bool) -> str:
+def _value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return str(value).lower() if isinstance(value, bool) else repr(value)

@@ -1,0 +1,41 @@
+"""The rig: what is known of vial, resin, camera, projector and stage, read from TOML and checked.
+
+A rig is data: frozen, validated when read, with unknown keys refused.  A command asks for the tables that it needs;
+what it does not need may be absent.
+"""
+
+from vialight.config.instruments import CameraSettings, ProjectorSettings, StageSettings
+from vialight.config.optics import Optics
+from vialight.config.reading import changed_rig, load_rig, read_toml
+from vialight.config.rig import (
+    Calibration,
+    Camera,
+    Projector,
+    Resin,
+    Rig,
+    RunOut,
+    Stage,
+    ThresholdConditions,
+    Uncertainty,
+    Vial,
+)
+
+__all__ = [
+    "Calibration",
+    "Camera",
+    "CameraSettings",
+    "Optics",
+    "Projector",
+    "ProjectorSettings",
+    "Resin",
+    "Rig",
+    "RunOut",
+    "Stage",
+    "StageSettings",
+    "ThresholdConditions",
+    "Uncertainty",
+    "Vial",
+    "changed_rig",
+    "load_rig",
+    "read_toml",
+]

@@ -1,0 +1,50 @@
+"""How the instruments of a rig are reached and set; absent where the twin stands in for them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from vialight.config.fields import Finite, Length, NotNegative, Table
+
+
+class CameraSettings(Table):
+    """A GenICam camera; names and units are those of its standard features, in seconds and decibels.
+
+    ``device`` is its serial number, address or identifier, by default the only one that is found; ``producer`` the
+    GenTL producer (``.cti``) by which ``harvesters`` reaches it.  ``latency_s`` goes from the middle of an exposure to
+    the frame's time stamp by the print's clock.
+    """
+
+    device: str | None = None
+    producer: str | None = None
+    exposure_s: Length | None = None
+    gain_db: Finite | None = None
+    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono12p", "Mono12Packed", "Mono16"] | None = None
+    binning: Annotated[int, Field(ge=1)] | None = None
+    region: tuple[int, int, int, int] | None = None
+    trigger: Literal["free-running", "software", "line"] = "free-running"
+    trigger_line: str = "Line0"
+    latency_s: NotNegative = 0.0
+
+
+class StageSettings(Table):
+    """A rotation stage that speaks GCS 2, at ``socket://host:port`` or ``serial:///dev/ttyUSB0?baud=115200``."""
+
+    address: str | None = None
+    axis: str = "1"
+    latency_s: NotNegative = 0.0
+
+
+class ProjectorSettings(Table):
+    """A projector that shows a window: on which monitor, and what its light does with levels.
+
+    ``linearisation`` are pairs of level and measured irradiance (any unit, rising); ``flat_field`` an image (PNG, in
+    the projector's pixels) by which patterns are multiplied, white being 1.
+    """
+
+    monitor: int | str = 0
+    latency_s: NotNegative = 0.0
+    linearisation: tuple[tuple[float, float], ...] | None = None
+    flat_field: str | None = None
