@@ -21,7 +21,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from vialight.arrays import Float32Array, Grid
+from vialight.arrays import Float32Array, Grid, Volume
 from vialight.config import Rig
 from vialight.errors import InputError
 from vialight.links import (
@@ -36,10 +36,21 @@ from vialight.links import (
     SurfaceSnapshot,
     shared_folder,
 )
+from vialight.live import SharedVolume
+from vialight.live.analysis import region_of
 from vialight.mesh import Mesh
 from vialight.plan import Patterns, Plan
 from vialight.report import deviation_colours
-from vialight.store import FrameWriter, rig_to_toml, write_history, write_json, write_plan, write_ply, write_stl
+from vialight.store import (
+    FrameWriter,
+    rig_to_toml,
+    write_history,
+    write_json,
+    write_plan,
+    write_ply,
+    write_stl,
+    write_volume,
+)
 from vialight.web.reference import ViewGrid, reference_sums
 
 RIG = Rig.model_validate(
@@ -55,6 +66,7 @@ RIG = Rig.model_validate(
     }
 )  # fmt: skip
 _RING_MM, _TUBE_MM = 4.6, 2.0
+VOLUME_GRID = Grid((40, 60, 60), 0.25, 1.0)
 _LIT_FROM_S = 1.0
 """On the pretended print's clock."""
 
@@ -91,6 +103,12 @@ def grown(reference: Mesh, share: float) -> tuple[Float32Array, Float32Array]:
     return moved.astype(np.float32), deviation.astype(np.float32)
 
 
+def volume() -> Volume:
+    """Return a density that tells its own place: x + 10 y + 100 z, in mm, and 2000 more, so that none is negative."""
+    z, y, x = np.meshgrid(VOLUME_GRID.z_mm, VOLUME_GRID.y_mm, VOLUME_GRID.x_mm, indexing="ij")
+    return Volume((2000 + x + 10 * y + 100 * z).astype(np.float32), VOLUME_GRID)
+
+
 class PretendPrint:
     """Runs in this process until it is left, or stopped by an order."""
 
@@ -120,6 +138,8 @@ class PretendPrint:
             "surface": 64 * self.pretence.vertices + 2 * 4 * 3 * size * size + 10_000,
         }  # fmt: skip
         self._boxes = {name: Mailbox(self._folder / name, bytes_) for name, bytes_ in room.items()}
+        shared = SharedVolume.make(self._folder / "volume", VOLUME_GRID, region_of(VOLUME_GRID, None))
+        shared.give(volume().density, 180, 18.0, 0.0, 0.0)
         self._frames = FrameWriter(self.run / "frames.h5", (300, 480))
         (self.run / "projector.csv").write_text("refresh_s,shown_s,due,shown\n")
         self._control = ControlServer(self._obey)
@@ -285,6 +305,7 @@ class PretendPrint:
         mesh = _mesh(vertices, self.reference)
         rmse = float(np.sqrt(np.mean(deviation**2)))
         write_stl(self.run / "surface.stl", mesh)
+        write_volume(self.run / "volume.zarr", volume())
         write_ply(self.run / "deviation.ply", mesh, {"deviation_mm": deviation})
         write_json(self.run / "metrics.json", {"as_placed": {"rmse_mm": rmse, "iou": 0.97}})
         (self.run / "report.html").write_text("<!doctype html><title>Report</title><h1>Report of the ring</h1>")

@@ -133,6 +133,19 @@ def _settled(page: Page, selector: str) -> NDArray[np.uint8]:
         page.wait_for_timeout(100)
 
 
+def test_slices_are_shown_where_their_sliders_stand(live: Page) -> None:
+    wait(live, "!document.querySelector('#plane-xy input').disabled")
+    live.fill("#plane-xy input", "900")  # density rises by 100 a mm along z, and by 10 along y
+    wait(live, "document.querySelector('#plane-xy output').textContent.startsWith('z = ')")
+    wait(live, "parseFloat(document.querySelector('#plane-xy output').textContent.slice(4)) > 4.5")
+    high = drawn(live, "#plane-xy canvas").astype(int).sum()
+    live.fill("#plane-xy input", "100")
+    wait(live, "document.querySelector('#plane-xy output').textContent.includes('\u2212')")
+    assert drawn(live, "#plane-xy canvas").astype(int).sum() < high
+    live.click("#planes-middle")
+    wait(live, "document.querySelector('#plane-xy output').textContent === 'middle'")
+
+
 def test_the_vial_is_drawn_where_the_rig_has_it(live: Page, client: Client, run_path: str) -> None:
     wait(live, "document.getElementById('camera-caption').textContent.startsWith('Frame')")
     picture = drawn(live, "#camera-canvas").astype(int)

@@ -18,7 +18,7 @@ from vialight.store import list_history, list_surfaces, read_history
 from vialight.web import PageProcess, PageSettings
 from vialight.web.encoding import unpack
 from web.clients import Client
-from web.pretend_print import Pretence, PretendPrint, PretendProcess
+from web.pretend_print import VOLUME_GRID, Pretence, PretendPrint, PretendProcess
 
 STOP_WITHIN_S = 0.5
 """From the press to a black projector."""
@@ -143,6 +143,33 @@ def test_history_is_told_in_numbers_and_pictures(client: Client, run_path: str, 
     assert later["rows"][0] == told["rows"][1]
 
 
+def test_slices_are_those_nearest_to_where_they_are_wanted(client: Client, run_path: str) -> None:
+    header, arrays = unpack(client.ask(f"{run_path}/slices/600/250/0").body)
+    at = header["at_mm"]
+    low, high = VOLUME_GRID.x_mm[[0, -1]]
+    wanted = {"x": low + 0.6 * (high - low), "y": low + 0.25 * (high - low), "z": VOLUME_GRID.z_mm[0]}
+    assert at == pytest.approx(wanted, abs=0.51 * VOLUME_GRID.voxel_mm)
+    for plane, rows, columns, fixed in (
+        ("xy", 10 * VOLUME_GRID.y_mm, VOLUME_GRID.x_mm, 100 * at["z"]),
+        ("xz", 100 * VOLUME_GRID.z_mm, VOLUME_GRID.x_mm, 10 * at["y"]),
+        ("yz", 100 * VOLUME_GRID.z_mm, 10 * VOLUME_GRID.y_mm, at["x"]),
+    ):
+        of = header["arrays"][f"slice_{plane}"]
+        shown = of["low"] + (arrays[f"slice_{plane}"].astype(float) - 1) / 254 * (of["high"] - of["low"])
+        meant = 2000 + rows[:, None] + columns[None, :] + fixed
+        assert np.abs(shown - meant).max() <= (of["high"] - of["low"]) / 254, plane
+
+
+def test_slices_beyond_the_volume_are_its_outermost(client: Client, run_path: str) -> None:
+    header, _ = unpack(client.ask(f"{run_path}/slices/500/500/99999").body)
+    assert header["at_mm"]["z"] == pytest.approx(VOLUME_GRID.z_mm[-1])
+
+
+@pytest.mark.parametrize("place", ["-1/0/0", "nan/0/0", "0/0", "0/0/..%2f..%2f"])
+def test_a_slice_at_no_place_is_refused(client: Client, run_path: str, place: str) -> None:
+    assert client.ask(f"{run_path}/slices/{place}").status == 404
+
+
 def test_the_reference_comes_as_a_ghost_and_as_projections(client: Client, run_path: str) -> None:
     assert len(unpack(client.ask(f"{run_path}/reference").body)[1]["vertices"]) > 1000
     assert unpack(client.ask(f"{run_path}/reference-sums").body)[1]["reference_xz"].shape == (75, 120)
@@ -234,6 +261,7 @@ def test_a_finished_print_says_so_gives_its_files_and_takes_no_orders(
     assert b"Report of the ring" in report.body
     assert client.post(f"{path}/stop").json["error"].startswith("print: is not running")
     assert client.ask(f"{path}/thumbnail").body.startswith(b"\x89PNG")
+    assert unpack(client.ask(f"{path}/slices/0/0/1000").body)[0]["at_mm"]["z"] == pytest.approx(VOLUME_GRID.z_mm[-1])
 
 
 def test_a_print_that_was_killed_is_no_longer_live(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@
 """
 
 from vialight.live.following import LiveSettings
+from vialight.live.sharing import SharedVolume
 from vialight.live.watcher import LiveWatcher
 from vialight.live.window import SlidingWindow
 
-__all__ = ["LiveSettings", "LiveWatcher", "SlidingWindow"]
+__all__ = ["LiveSettings", "LiveWatcher", "SharedVolume", "SlidingWindow"]

@@ -95,6 +95,10 @@ class SharedVolume:
             if time.monotonic() > deadline:
                 return None
             time.sleep(_POLL_S)
+        return self.newest()
+
+    def newest(self) -> Given:
+        """Return the volume given last without taking it: it may be overwritten while it is looked at."""
         _, _, frames, time_s, lit_s, angle, _ = _HEAD.unpack_from(self._map)
         return Given(self._density, frames, time_s, lit_s, angle)
 

@@ -111,6 +111,7 @@ class PageServer:
             Route(of_run + "/moments/{number:int}", self.show_moment, methods=["GET"]),
             Route(of_run + "/moments/{number:int}/camera", self.show_recorded_picture, methods=["GET"]),
             Route(of_run + "/moments/{number:int}/pattern", self.show_recorded_pattern, methods=["GET"]),
+            Route(of_run + "/slices/{x:int}/{y:int}/{z:int}", self.show_slices, methods=["GET"]),
             Route(of_run + "/surfaces/{number:int}", self.show_surface, methods=["GET"]),
             Route(of_run + "/reference", self.show_reference, methods=["GET"]),
             Route(of_run + "/reference-sums", self.show_reference_sums, methods=["GET"]),
@@ -209,6 +210,12 @@ class PageServer:
         """Give what was projected at a moment."""
         data = self._of(self._run(request)).data
         return _bytes_or_404(await self._do(data.recorded_pattern, request.path_params["number"]))
+
+    async def show_slices(self, request: Request) -> Response:
+        """Give the slices at thousandths of the volume's extent."""
+        slices = self._of(self._run(request)).data.slices
+        place = (request.path_params[name] for name in "xyz")
+        return Response(await self._do(slices.at, *place), media_type=_BINARY)
 
     async def show_surface(self, request: Request) -> Response:
         """Give a surface of the history."""

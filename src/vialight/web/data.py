@@ -29,11 +29,10 @@ from vialight.web.catalogue import Run
 from vialight.web.encoding import images_of, pack, pack_surface, to_levels
 from vialight.web.recorded import pattern_shown, recorded_image
 from vialight.web.reference import ReferenceSums, ViewGrid, reference_sums
+from vialight.web.slices import Slices
 
 _WIDEST = 640
 """Columns of a picture of camera or projector as it is shown; more are averaged."""
-
-
 _GHOST_FACES = 60_000
 """Enough for what is only hinted at."""
 
@@ -49,6 +48,7 @@ class RunData:
 
     def __init__(self, run: Run) -> None:
         self.run = run
+        self.slices = Slices(run.folder)
         self._lock = threading.RLock()
         self._reference: Mesh | None = None
         self._sums: tuple[ViewGrid, ReferenceSums] | None = None

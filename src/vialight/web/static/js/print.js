@@ -5,8 +5,9 @@ import { Channel, Refused, getBinary, getJson, post } from "./connection.js";
 import { Freshness } from "./freshness.js";
 import { Machine } from "./machine.js";
 import { CameraView, PatternView } from "./optics.js";
-import { MiddlePlanes, Projections } from "./projections.js";
+import { Projections } from "./projections.js";
 import { Results } from "./runs.js";
+import { Slices } from "./slices.js";
 import { Stop } from "./stop.js";
 import { SurfaceView } from "./surface.js";
 import { Timeline } from "./timeline.js";
@@ -18,7 +19,7 @@ export class PrintPage {
     this.onLockedOut = onLockedOut;
     this.projections = new Projections({
       density: $("projections-density"), cured: $("projections-cured"), reference: $("projections-reference") });
-    this.planes = new MiddlePlanes($("planes"), $("planes-ramp"), $("planes-kind"));
+    this.slices = new Slices();
     this.surface = new SurfaceView($("surface-canvas"), $("surface-ramp"));
     this.curves = new Curves($("charts"));
     this.camera = new CameraView($("camera-canvas"), $("camera-caption"));
@@ -44,6 +45,7 @@ export class PrintPage {
     for (const channel of Object.values(this.channels)) channel.close();
     this.channels = {};
     this.run = null;
+    this.slices.reset(null);
   }
 
   // The page's parts must be in sight: what is drawn takes its size from there.
@@ -54,7 +56,8 @@ export class PrintPage {
     document.title = `${this.run.name} \u2013 vialight`;
     Object.assign(this, {
       message: null, receivedAt: performance.now(), changed: null, logCount: 0, isFetchingLog: false, hasMoment: false });
-    for (const part of [this.projections, this.planes, this.surface, this.timeline, this.stop]) part.reset();
+    for (const part of [this.projections, this.surface, this.timeline, this.stop]) part.reset();
+    this.slices.reset(`/api/runs/${run.key}`);
     this.camera.reset(this.run.camera);
     this.pattern.reset(this.run.projector);
     $("log").replaceChildren();
@@ -171,9 +174,9 @@ export class PrintPage {
       else if (header.kind === "pattern") this.pattern.show(message);
       else if (header.kind === "snapshot") {
         this.projections.show(message);
-        this.planes.voxelMm = header.voxel_mm;
+        this.slices.voxelMm = header.voxel_mm;
         this.machine.snapshot = header;
-      } else this.planes.show(arrays);
+      } else this.slices.show(arrays, null, false);
     }
   }
 
@@ -216,7 +219,7 @@ export class PrintPage {
       if (reference) this.projections.show(reference);
     }
     this.projections.show(pictures);
-    this.planes.show(pictures.arrays, pictures.header.voxel_mm);
+    this.slices.show(pictures.arrays, pictures.header.voxel_mm, this.timeline.isBack);
     this.curves.show(this.timeline.rows, run.speed_deg_s, this.timeline.cursorS);
     await this.showRecorded(run, row);
     const surface = this.timeline.surfaceAt(row.number);
@@ -295,7 +298,7 @@ export class PrintPage {
   redraw() {
     if (!this.run) return;
     this.projections.redraw();
-    this.planes.redraw();
+    this.slices.redraw();
     this.camera.redraw();
     this.pattern.redraw();
     this.surface.paint();

@@ -142,37 +142,3 @@ export class Projections {
     if (this.grid && this.last) this.show({ header: {}, arrays: this.last });
   }
 }
-
-// Slices through the middle, or mean gel times.
-export class MiddlePlanes {
-  constructor(parent, rampCanvas, select) {
-    Object.assign(this, { rampCanvas, select, last: {} });
-    this.pictures = Object.fromEntries(PLANES.map((plane) => [plane, new Picture(parent, plane, "Middle plane")]));
-    select.addEventListener("change", () => this.redraw());
-  }
-
-  reset() {
-    this.last = {};
-    for (const picture of Object.values(this.pictures)) picture.clear();
-  }
-
-  show(arrays, voxelMm) {
-    for (const [name, image] of Object.entries(arrays)) if (/^(slice|gel)_/.test(name)) this.last[name] = image;
-    if (voxelMm) this.voxelMm = voxelMm;
-    this.redraw();
-  }
-
-  redraw() {
-    const kind = this.select.value;
-    if (!this.last[`${kind}_xy`] || !this.voxelMm) return;
-    const images = PLANES.map((plane) => this.last[`${kind}_${plane}`]);
-    const widest = Math.max(...images.map((image) => image.shape[1])) * this.voxelMm;
-    const isGel = kind === "gel";
-    const low = isGel ? images[0].low : 0;
-    const high = isGel ? images[0].high : roundUpFinely(Math.max(...images.map((image) => image.high)));
-    PLANES.forEach((plane, index) => this.pictures[plane].draw(images[index], this.voxelMm, low, high, widest));
-    const unit = isGel ? "lit seconds at gelation" : "counts per mm";
-    drawRamp(this.rampCanvas, cividis, number(low, 0), number(high, 0), unit);
-    this.rampCanvas.setAttribute("aria-label", `Colours from ${number(low, 0)} to ${number(high, 0)} ${unit}`);
-  }
-}
