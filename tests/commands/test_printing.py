@@ -139,3 +139,15 @@ def test_stop_that_is_none_is_refused(tmp_path: Path) -> None:
     told = CliRunner().invoke(main, ["print", str(plan), "--rig", str(rig), "--out", "x", "--stop", "soon"])
     assert told.exit_code == 2
     assert "accepted: auto, manual, turns=N" in told.output
+
+
+def test_options_of_the_simulated_printer_are_refused_where_the_rig_names_real_devices(tmp_path: Path) -> None:
+    plan, rig = write_quick_plan(tmp_path)
+    for table, driver in (("camera", "aravis"), ("stage", "pi"), ("projector", "window")):
+        rig.write_text(rig.read_text().replace(f"[{table}]\n", f'[{table}]\ndriver = "{driver}"\n'))
+    command = ["print", str(plan), "--rig", str(rig), "--out", str(tmp_path / "run")]
+    for option in (["--rate", "4"], ["--bin", "2"]):
+        told = CliRunner().invoke(main, command + option)
+        assert told.exit_code == 2
+        assert "the rig names real devices" in told.output
+    assert not (tmp_path / "run").exists()

@@ -16,6 +16,7 @@ from vialight.commands.measuring import measure_surface, reconstruct_recording
 from vialight.commands.provenance import inputs_json, versions
 from vialight.commands.stop_models import stop_model_for
 from vialight.config import Rig
+from vialight.devices.opening import RealPrinter, names_devices
 from vialight.devices.simulated import Mishaps, SimulatedPrinter, WorldSettings
 from vialight.errors import InputError, VialightError
 from vialight.feedback import StopModel
@@ -196,10 +197,14 @@ class _Job:
     live: LiveOptions
     simulation: Simulation
     rig_name: str
+    is_real: bool
 
     @classmethod
     def read(cls, plan_path: Path, rig_path: str | Path, live: LiveOptions, simulation: Simulation) -> _Job:
         plan, rig = read_plan(plan_path), find_rig(rig_path)
+        is_real = names_devices(rig)
+        if is_real:
+            _refuse_for_real_devices(simulation)
         name = simulation.resin or (rig.resin.name if rig.resin.name in resin_names() else _DEFAULT_RESIN)
         resin = load_resin(name)
         reference = plan.reference if live.reference is None else load_mesh(live.reference)
@@ -207,8 +212,8 @@ class _Job:
         simulation = Simulation(
             name, simulation.rate, simulation.voxel_mm, simulation.binning, simulation.twin, simulation.mishaps
         )
-        recorded = _as_recorded(believed, resin, live.threshold, simulation.binning)
-        return cls(plan_path, plan, believed, recorded, resin, reference, live, simulation, str(rig_path))
+        recorded = _as_recorded(believed, None if is_real else resin, live.threshold, simulation.binning)
+        return cls(plan_path, plan, believed, recorded, resin, reference, live, simulation, str(rig_path), is_real)
 
     def write_to(self, run: Path, settings: PrintSettings) -> dict[str, Any]:
         """Write what is known before the print; return what ``run.json`` then holds."""
@@ -222,23 +227,27 @@ class _Job:
             "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "inputs": inputs_json(plan=self.plan_path),
             "settings": asdict(settings) | {"every_deg": self.live.every_deg},
-            "simulation": {"resin": self.simulation.resin, "rate": self.simulation.rate,
-                           "voxel_mm": self.simulation.voxel_mm, "binning": self.simulation.binning},
+            "simulation": None if self.is_real else {
+                "resin": self.simulation.resin, "rate": self.simulation.rate,
+                "voxel_mm": self.simulation.voxel_mm, "binning": self.simulation.binning,
+            },
             "versions": versions(),
         }  # fmt: skip
         write_json(run / RUN, begun)
         return begun
 
-    def printer(self, run: Path) -> SimulatedPrinter:
-        """Start the printer."""
+    def printer(self, run: Path) -> SimulatedPrinter | RealPrinter:
+        """Start the printer that the rig names, or the twin."""
+        angles_rad, log = self.plan.patterns.angles_rad, run / "projector.csv"
+        if self.is_real:
+            return RealPrinter(self.rig, self.plan_path, angles_rad, log)
         simulation = self.simulation
         twin = TwinSettings(**(vars(simulation.twin) | {"binning": simulation.binning}))
         world = WorldSettings(
             self.plan_path, self.rig_name, simulation.resin or _DEFAULT_RESIN, simulation.voxel_mm, twin,
             simulation.mishaps, simulation.rate,
         )  # fmt: skip
-        refresh_hz = self.rig.need_projector().frame_rate_hz
-        return SimulatedPrinter(world, self.plan.patterns.angles_rad, refresh_hz, run / "projector.csv")
+        return SimulatedPrinter(world, angles_rad, self.rig.need_projector().frame_rate_hz, log)
 
     def live_settings(
         self, run: Path, mailboxes: Path, settings: PrintSettings, model: StopModel | None
@@ -254,18 +263,29 @@ class _Job:
         )  # fmt: skip
 
 
-def _as_recorded(rig: Rig, resin: ResinModel, threshold: float | None, binning: int) -> Rig:
+def _refuse_for_real_devices(simulation: Simulation) -> None:
+    """Refuse what only the simulated printer can do."""
+    for option, value, neutral in (("--rate", simulation.rate, 1.0), ("--bin", simulation.binning, 1)):
+        if value != neutral:
+            raise InputError(
+                option, f"is {value}, but the rig names real devices", accepted=str(neutral), remedy="leave it out"
+            )
+
+
+def _as_recorded(rig: Rig, simulated: ResinModel | None, threshold: float | None, binning: int) -> Rig:
     """Return the rig of the recorded pixels, with a threshold that belongs to them.
 
     Counts of binned pixels are sums, and so is the threshold.  Where neither rig nor user gives one, it is that of the
-    simulated resin: the density at its gel point.
+    simulated resin, if that is what is printed in: the density at its gel point.
     """
     if threshold is None:
-        known = rig.resin.threshold
-        if known is None:
-            known = float(resin.scattering.density(np.array([resin.chemistry.gel_conversion], np.float32))[0])
-        threshold = known * binning**2
-    update = {"threshold": float(threshold), "threshold_conditions": None}
+        if rig.resin.threshold is None and simulated is not None:
+            gelled = np.array([simulated.chemistry.gel_conversion], np.float32)
+            threshold = float(simulated.scattering.density(gelled)[0])
+        else:
+            threshold = rig.need_threshold()
+        threshold *= binning**2
+    update = {"threshold": threshold, "threshold_conditions": None}
     return rig.model_copy(
         update={"camera": rig.need_camera().binned(binning), "resin": rig.resin.model_copy(update=update)}
     )

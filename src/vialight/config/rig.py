@@ -179,6 +179,15 @@ class Rig(Table):
             )  # fmt: skip
         return self.projector
 
+    def need_threshold(self) -> float:
+        """Return the resin's gelation threshold, or say that it is missing."""
+        if self.resin.threshold is None:
+            raise InputError(
+                f"{self.source} [resin]", "has no threshold, the density I_p at which it has gelled",
+                accepted="counts per mm", remedy="calibrate it, or give --threshold",
+            )  # fmt: skip
+        return self.resin.threshold
+
     def imaging_optics(self) -> Optics | None:
         """Return what the camera's rays pass through; None for ``geometry = "parallel"``."""
         if self.geometry == "parallel":

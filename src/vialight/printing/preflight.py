@@ -30,11 +30,7 @@ def check_rig(rig: Rig, image_shape: tuple[int, int]) -> None:
     rig.need_projector()
     rig.imaging_optics()
     rig.writing_optics()
-    if rig.resin.threshold is None:
-        raise InputError(
-            f"{rig.source} [resin]", "has no threshold, the density I_p at which it has gelled",
-            accepted="counts per mm", remedy="calibrate it, or give --threshold",
-        )  # fmt: skip
+    rig.need_threshold()
     if not 0 <= camera.axis_column <= image_shape[1] - 1:
         raise InputError(
             f"{rig.source} [camera]", f"axis_column {camera.axis_column} lies outside the camera's image",
