@@ -35,8 +35,9 @@ def reconstruction(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_command_has_help_with_an_example() -> None:
     commands = re.findall(r"^  (\w+) ", run("--help").stdout.split("Commands:")[1], flags=re.MULTILINE)
     assert {"reconstruct", "measure", "plan", "export", "demo"} <= set(commands)
-    for command in commands:
-        text = run(command, "--help").stdout
+    inner = re.findall(r"^  (\w+) ", run("calibrate", "--help").stdout.split("Commands:")[1], flags=re.MULTILINE)
+    for command in [*commands, *(f"calibrate {name}" for name in inner)]:
+        text = run(*command.split(), "--help").stdout
         assert f"vialight {command}" in text.split("Example:")[1]
 
 

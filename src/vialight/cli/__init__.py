@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from vialight.cli.calibrating import calibrate
 from vialight.cli.printing import print_command, watch_command
 from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
 from vialight.cli.tables import measurement_lines, plan_lines, reconstruction_lines, simulation_lines
@@ -294,5 +295,6 @@ def demo(out: Path, as_json: bool) -> None:
         show({"reconstruction": first, "measurement": second}, as_json, lambda: lines)
 
 
+main.add_command(calibrate)
 main.add_command(print_command)
 main.add_command(watch_command)

@@ -107,3 +107,18 @@ def watch_lines(result: dict[str, Any]) -> list[str]:
         lines.append(f"at the end      RMSE {result['rmse_mm']:.3f} mm, reverse {result['reverse_rmse_mm']:.3f} mm, "
                      f"IoU {result['iou']:.4f}")  # fmt: skip
     return lines
+
+
+def calibration_lines(result: dict[str, Any], out: Path) -> list[str]:
+    """Tabulate what a calibration found."""
+    lines = [f"{'':<44}{'before':>14}{'found':>14}{'standard':>12}"]
+    for found in result["found"]:
+        values = [found["before"], found["value"], found["uncertainty"]]
+        cells = [_cell(value, width) for value, width in zip(values, (14, 14, 12), strict=True)]
+        lines.append(f"{'[' + found['table'] + '] ' + found['key']:<44}{''.join(cells)}".rstrip())
+    return [*lines, *result["notes"], f"new rig: {out}", f"page: {out.with_suffix('.html')}"]
+
+
+def _cell(value: Any, width: int) -> str:
+    text = "-" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{text:>{width}}"

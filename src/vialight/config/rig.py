@@ -122,7 +122,10 @@ class Stage(Table):
 
 
 class Uncertainty(Table):
-    """Standard uncertainties of a rig's values, by table and key, in the value's own unit."""
+    """Standard uncertainties of a rig's values, by table and key, in the value's own unit.
+
+    A key of an inner table is ``"run_out.radius_mm"``.
+    """
 
     vial: dict[str, NotNegative] | None = None
     resin: dict[str, NotNegative] | None = None
@@ -134,7 +137,7 @@ class Uncertainty(Table):
     def _names_values_of_the_rig(self) -> Uncertainty:
         for name, table in (("vial", Vial), ("resin", Resin), ("camera", Camera), ("projector", Projector),
                             ("stage", Stage)):  # fmt: skip
-            if unknown := set(getattr(self, name) or ()) - set(table.model_fields):
+            if unknown := {key.partition(".")[0] for key in getattr(self, name) or ()} - set(table.model_fields):
                 raise ValueError(f"{name} has no key {', '.join(sorted(unknown))}")
         return self
 

@@ -1,5 +1,7 @@
-"""The report and the plan's page: HTML files that hold everything, to be read now and in ten years."""
+"""The report and the pages of plan and calibration: HTML files that hold all, to be read now and in ten years."""
 
+from vialight.report.calibration_figures import working_curve_png
+from vialight.report.calibration_page import write_calibration_page
 from vialight.report.colours import colour_limit_mm, deviation_colours
 from vialight.report.page import Figure, Provenance, write_report
 from vialight.report.plan_page import write_plan_page
@@ -11,6 +13,8 @@ __all__ = [
     "colour_limit_mm",
     "deviation_colours",
     "picture_of",
+    "working_curve_png",
+    "write_calibration_page",
     "write_plan_page",
     "write_report",
     "write_timelapse",

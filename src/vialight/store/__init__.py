@@ -23,8 +23,9 @@ from vialight.store.plans import read_plan, write_plan
 from vialight.store.projections import read_projections
 from vialight.store.recording import FrameWriter, write_frames
 from vialight.store.results import read_json, sha256_of, to_json, write_json
-from vialight.store.rigs import rig_to_toml
+from vialight.store.rigs import rig_to_toml, with_values
 from vialight.store.states import SavedState, read_state, write_state
+from vialight.store.tables import read_table
 from vialight.store.tail import FrameTail, NewFrames
 from vialight.store.volumes import VolumeWriter, read_volume, write_volume
 
@@ -51,12 +52,14 @@ __all__ = [
     "read_projections",
     "read_state",
     "read_surface",
+    "read_table",
     "read_volume",
     "rig_to_toml",
     "sha256_of",
     "staged_file",
     "staged_folder",
     "to_json",
+    "with_values",
     "write_frames",
     "write_history",
     "write_json",

@@ -1,14 +1,13 @@
-"""Rigs as TOML text: what a plan keeps, and what calibration gives back.
-
-Written here: Python reads TOML but does not write it, and a rig needs no more of it than numbers, strings,
-lists and tables.
-"""
+"""Rigs as TOML text: what a plan keeps, and what calibration gives back."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
+
+import tomlkit
+from tomlkit.container import Container
+from tomlkit.items import AbstractTable
 
 from vialight.config import Rig
 
@@ -30,22 +29,37 @@ def rig_to_toml(rig: Rig) -> str:
     direction = 1
     <BLANKLINE>
     """
-    return "\n".join(_lines(rig.model_dump(by_alias=True, exclude_none=True), ""))
+    return tomlkit.dumps(rig.model_dump(by_alias=True, exclude_none=True))
 
 
-def _lines(table: Mapping[str, Any], prefix: str) -> list[str]:
-    """Write plain values first: after the head of an inner table they would belong to it."""
-    lines = [f"{key} = {_value(value)}" for key, value in table.items() if not isinstance(value, Mapping)]
-    lines.append("")
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            lines += [f"[{prefix}{key}]", *_lines(value, f"{prefix}{key}.")]
-    return lines
+def with_values(text: str, changes: Mapping[str, Any]) -> str:
+    r"""Return TOML with some values changed or added; all else, comments included, stays as it is.
+
+    Parameters
+    ----------
+    text
+        TOML.
+    changes
+        Nested tables with the new values; None removes a key.
+
+    Examples
+    --------
+    >>> print(with_values("[camera]\naxis_column = 87.5  # at first\n", {"camera": {"axis_column": 87.9}}))
+    [camera]
+    axis_column = 87.9  # at first
+    <BLANKLINE>
+    """
+    document = tomlkit.parse(text)
+    _change(document, changes)
+    return tomlkit.dumps(document)
 
 
-def _value(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return str(value).lower() if isinstance(value, bool) else repr(value)
+def _change(table: Container | AbstractTable, changes: Mapping[str, Any]) -> None:
+    for key, value in changes.items():
+        inner = table.get(key)
+        if value is None:
+            table.pop(key, None)
+        elif isinstance(value, Mapping) and isinstance(inner, Container | AbstractTable):
+            _change(inner, value)
+        else:
+            table[key] = value

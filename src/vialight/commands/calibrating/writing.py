@@ -1,0 +1,157 @@
+"""What every calibration writes: the new rig, its page, and a picture of what was refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vialight.calibrate import Findings
+from vialight.commands.provenance import inputs_json, versions
+from vialight.config import load_rig, read_toml
+from vialight.errors import InputError
+from vialight.store import sha256_of, staged_file, staged_folder, with_values, write_json
+
+if TYPE_CHECKING:
+    from vialight.report import Figure
+
+
+def check_out(rig_path: str | Path, out: str | Path) -> None:
+    """Refuse, before any work, to write the new rig over the one that it is made from.
+
+    Raises
+    ------
+    InputError
+        Both are the same file, or `out` does not end in ``.toml``.
+    """
+    rig_path, out = Path(rig_path), Path(out)
+    if out.suffix != ".toml":
+        raise InputError("--out", f"is {out}", accepted="the name of a rig, NEW.toml", remedy="let it end in .toml")
+    if rig_path.exists() and out.exists() and rig_path.samefile(out):
+        raise InputError(
+            "--out", f"is {out}, the rig that is read", accepted="another name",
+            remedy="compare the two, then replace the old one yourself",
+        )  # fmt: skip
+
+
+def write_calibrated(
+    findings: Findings,
+    rig_path: str | Path,
+    data_path: str | Path,
+    out: str | Path,
+    *,
+    figures: Sequence[Figure] = (),
+    inputs: Mapping[str, str | Path] | None = None,
+) -> dict[str, Any]:
+    """Write the new rig, its page and its JSON, all or none.
+
+    Parameters
+    ----------
+    findings
+        What was found.
+    rig_path
+        The rig that it changes; comments and all that was not found stay as they are.
+    data_path
+        What it was found from; its hash goes into ``[calibration.NAME]``.
+    out
+        The new rig, TOML; ``.html`` and ``.json`` of the same name come beside it.
+    figures
+        For the page.
+    inputs
+        Role to path of further inputs.
+
+    Returns
+    -------
+    dict
+        What the ``.json`` holds.
+
+    Raises
+    ------
+    InputError
+        `out` is the rig that is read, or cannot be written, or the new rig would not be valid.
+    """
+    from vialight.report import Provenance, write_calibration_page
+
+    check_out(rig_path, out)
+    out = Path(out)
+    before = read_toml(Path(rig_path), accepted="a rig in TOML", remedy="check the path")
+    text = with_values(Path(rig_path).read_text(encoding="utf-8"), _changes(findings, data_path))
+    result = {
+        "calibration": findings.name,
+        "method": findings.method,
+        "found": [
+            {
+                "table": found.table,
+                "key": found.key,
+                "before": _at(before, found.table, found.key),
+                "value": found.value,
+                "uncertainty": found.uncertainty,
+                "how": found.how,
+            }
+            for found in findings.values
+        ],
+        "notes": list(findings.notes),
+        "details": dict(findings.details),
+        "inputs": inputs_json(data=data_path, rig=rig_path, **(inputs or {})),
+        "versions": versions(),
+    }
+    provenance = Provenance(inputs=result["inputs"], versions=result["versions"])
+    with staged_folder(out.parent) as folder:
+        (folder / out.name).write_text(text, encoding="utf-8")
+        load_rig(folder / out.name)
+        write_json(folder / f"{out.stem}.json", result)
+        write_calibration_page(
+            folder / f"{out.stem}.html", findings, result["found"], figures=figures, provenance=provenance, rig=text
+        )
+    return result
+
+
+@contextmanager
+def shown_where_refused(out: str | Path, picture: Callable[[], bytes]) -> Iterator[None]:
+    """Let a refusal leave a picture of what was seen, ``NEW_RIG.refused.png``, and name it.
+
+    Parameters
+    ----------
+    out
+        The rig that would have been written.
+    picture
+        Draws it, as PNG; asked only where something is refused.
+    """
+    try:
+        yield
+    except InputError as error:
+        path = Path(out).with_suffix(".refused.png")
+        with staged_file(path) as staging:
+            staging.write_bytes(picture())
+        error.args = (f"{error}; see {path}",)
+        raise
+
+
+def _changes(findings: Findings, data_path: str | Path) -> dict[str, Any]:
+    changes: dict[str, Any] = {}
+    for found in findings.values:
+        _put(changes, found.table, found.key, found.value)
+        if found.uncertainty is not None:
+            table, *inner = found.table.split(".")
+            _put(changes, f"uncertainty.{table}", ".".join([*inner, found.key]), found.uncertainty)
+    changes.setdefault("calibration", {})[findings.name] = {
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "file": Path(data_path).name,
+        "sha256": sha256_of(data_path),
+        "method": findings.method,
+    }
+    return changes
+
+
+def _put(changes: dict[str, Any], table: str, key: str, value: Any) -> None:
+    for name in table.split("."):
+        changes = changes.setdefault(name, {})
+    changes[key] = value
+
+
+def _at(table: Mapping[str, Any], path: str, key: str) -> Any:
+    for name in path.split("."):
+        table = table.get(name, {})
+    return table.get(key)

@@ -1,0 +1,27 @@
+"""Figures of the calibrations' pages, as PNG."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vialight.calibrate import WorkingCurve
+from vialight.report.canvas import new_figure, png, style
+
+
+def working_curve_png(curve: WorkingCurve) -> bytes:
+    """Draw cured depths over exposure, with the line that was fitted."""
+    exposure = np.geomspace(curve.critical_mj_per_cm2, 1.3 * curve.exposure_mj_per_cm2.max(), 100)
+    with style():
+        figure = new_figure(7.2, 4.2)
+        axis = figure.add_subplot()
+        axis.semilogx(exposure, curve.depth_at(exposure), color="#18348f", linewidth=1.2, label="fitted")
+        axis.semilogx(curve.exposure_mj_per_cm2, curve.depth_mm, "o", color="#c0501a", markersize=5, label="measured")
+        axis.axvline(
+            curve.critical_mj_per_cm2, color="#5d6778", linewidth=0.8, linestyle=":", label="critical exposure"
+        )
+        axis.set_xlabel("exposure at the surface, mJ/cm²")
+        axis.set_ylabel("cured depth, mm")
+        axis.set_ylim(bottom=0)
+        axis.grid(linewidth=0.3)
+        axis.legend(frameon=False)
+        return png(figure)

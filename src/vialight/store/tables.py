@@ -1,0 +1,52 @@
+"""Tables of numbers that people type: CSV with a head."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vialight.arrays import FloatArray
+from vialight.errors import InputError
+
+
+def read_table(path: str | Path, columns: Sequence[str]) -> dict[str, FloatArray]:
+    """Read columns of a CSV file by the names in its first line; others are passed over.
+
+    Parameters
+    ----------
+    path
+        The file.
+    columns
+        Names that must be there.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, or something is no number.
+    """
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            rows = list(reader)
+            heads = [head.strip() for head in reader.fieldnames or ()]
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", accepted="CSV", remedy="check the path") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, f"is not CSV ({error})", accepted=f"columns {', '.join(columns)}") from error
+    if missing := [name for name in columns if name not in heads]:
+        raise InputError(
+            path, f"has no column {missing[0]}, but {', '.join(heads) or 'none'}",
+            accepted=f"columns {', '.join(columns)}", remedy="name them in the first line",
+        )  # fmt: skip
+    return {name: np.array([_number(path, line, name, row) for line, row in enumerate(rows, 2)]) for name in columns}
+
+
+def _number(path: str | Path, line: int, name: str, row: dict[str, str]) -> float:
+    text = row[name]
+    try:
+        return float(text)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path} line {line}", f"{name} is {text!r}", accepted="a number") from error
