@@ -10,6 +10,8 @@ from vialight.report.canvas import new_figure, png, style
 
 def working_curve_png(curve: WorkingCurve) -> bytes:
     """Draw cured depths over exposure, with the line that was fitted."""
+    from matplotlib.ticker import FuncFormatter
+
     exposure = np.geomspace(curve.critical_mj_per_cm2, 1.3 * curve.exposure_mj_per_cm2.max(), 100)
     with style():
         figure = new_figure(7.2, 4.2)
@@ -22,6 +24,8 @@ def working_curve_png(curve: WorkingCurve) -> bytes:
         axis.set_xlabel("exposure at the surface, mJ/cm²")
         axis.set_ylabel("cured depth, mm")
         axis.set_ylim(bottom=0)
+        for ticks in (axis.xaxis.set_major_formatter, axis.xaxis.set_minor_formatter):
+            ticks(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.grid(linewidth=0.3)
         axis.legend(frameon=False)
         return png(figure)

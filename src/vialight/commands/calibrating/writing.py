@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
@@ -132,10 +133,10 @@ def shown_where_refused(out: str | Path, picture: Callable[[], bytes]) -> Iterat
 def _changes(findings: Findings, data_path: str | Path) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     for found in findings.values:
-        _put(changes, found.table, found.key, found.value)
+        _put(changes, found.table, found.key, rounded(found.value, found.uncertainty))
         if found.uncertainty is not None:
             table, *inner = found.table.split(".")
-            _put(changes, f"uncertainty.{table}", ".".join([*inner, found.key]), found.uncertainty)
+            _put(changes, f"uncertainty.{table}", ".".join([*inner, found.key]), float(f"{found.uncertainty:.3g}"))
     changes.setdefault("calibration", {})[findings.name] = {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "file": Path(data_path).name,
@@ -143,6 +144,19 @@ def _changes(findings: Findings, data_path: str | Path) -> dict[str, Any]:
         "method": findings.method,
     }
     return changes
+
+
+def rounded(value: Any, uncertainty: float | None) -> Any:
+    """Return a value without the digits that a hundredth of its uncertainty leaves open.
+
+    Examples
+    --------
+    >>> rounded(87.903123456, 0.0042), rounded(87.903123456, None)
+    (87.90312, 87.903123456)
+    """
+    if not isinstance(value, float) or not uncertainty:
+        return value
+    return round(value, 2 - math.floor(math.log10(uncertainty)))
 
 
 def _put(changes: dict[str, Any], table: str, key: str, value: Any) -> None:
