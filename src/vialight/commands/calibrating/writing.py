@@ -79,7 +79,7 @@ def write_calibrated(
     out = Path(out)
     before = read_toml(Path(rig_path), accepted="a rig in TOML", remedy="check the path")
     text = with_values(Path(rig_path).read_text(encoding="utf-8"), _changes(findings, data_path))
-    result = {
+    result: dict[str, Any] = {
         "calibration": findings.name,
         "method": findings.method,
         "found": [
