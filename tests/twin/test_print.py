@@ -24,7 +24,7 @@ from vialight.mesh import Mesh, load_mesh
 from vialight.metrology import compare
 from vialight.pipeline import Settings
 from vialight.plan import Patterns, Plan
-from vialight.store import rig_to_toml, write_plan
+from vialight.store import read_volume, rig_to_toml, write_plan
 from vialight.twin import ResinModel, Twin, TwinSettings, dose_of, find_rig, grid_round, load_resin, play
 from vialight.twin.chemistry import cure, fresh
 
@@ -224,7 +224,9 @@ def test_a_print_with_faults_writes_a_rig_that_is_wrong_as_ordered(
     wrong = "dropped_share = 0.2\nprojector_gain = 0.5\n[believed.resin]\nindex_imaging = 1.5\n"
     (tmp_path / "faults.toml").write_text(f"{wrong}[believed.camera]\ndistance_mm = 170.0\naxis_column = 88.5\n")
     order = ["simulate", str(plan_path), "--rig", str(printer), "--resin", "DUDMA", "--turns", "6.4"]
+    (tmp_path / "twin.toml").write_text("exposure_s = 0.05\n[sensor]\nread_noise_counts = 1.0\n")
     order += ["--voxel", "0.4", "--bin", "4", "--faults", str(tmp_path / "faults.toml"), "--json"]
+    order += ["--twin", str(tmp_path / "twin.toml")]
     done = CliRunner().invoke(main, [*order, "--out", str(tmp_path / "run")], catch_exceptions=False)
     assert done.exit_code == 0, done.stderr
     result = json.loads(done.stdout)
@@ -237,7 +239,10 @@ def test_a_print_with_faults_writes_a_rig_that_is_wrong_as_ordered(
     assert 0.1 < result["printed"]["frames_dropped"] / (7.4 * 180) < 0.3
     assert result["truth"]["volume_mm3"] == pytest.approx(result["truth"]["reference_volume_mm3"], rel=0.25)
     assert result["settings"]["faults"]["projector_gain"] == 0.5
+    assert (result["settings"]["exposure_s"], result["settings"]["sensor"]["read_noise_counts"]) == (0.05, 1.0)
     assert result["believed"]["camera"]["distance_mm"] == 170.0
+    gelled = np.isfinite(read_volume(tmp_path / "run" / "gel_time.zarr").density)
+    assert gelled.sum() * 0.4**3 == pytest.approx(result["truth"]["volume_mm3"], rel=0.1)
     assert set(result["inputs"]) == {"plan", "faults"}
 
 

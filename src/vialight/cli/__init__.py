@@ -200,10 +200,11 @@ def _given_projections(options: dict[str, Any]) -> GivenProjections | None:
 @click.option("--bin", "binning", type=int, default=1, show_default=True, help="Sum N x N of the camera's pixels.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the noise.")
 @click.option("--faults", type=_FILE, help="What is wrong with the printer, and with the rig.toml written: TOML.")
+@click.option("--twin", type=_FILE, help="How closely to look: aperture, exposure, shadows, noise ...: TOML.")
 @_as_json
 def simulate(
     plan: Path, rig: Path, resin: str, out: Path, turns: float | None, dose: float | None, voxel: float, binning: int,
-    seed: int, faults: Path | None, as_json: bool,
+    seed: int, faults: Path | None, twin: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Print a PLAN on the digital twin and record it.
 
@@ -213,9 +214,10 @@ def simulate(
     """
     with faults_told():
         from vialight.commands.simulating import simulate_print
-        from vialight.twin import TwinSettings
+        from vialight.twin import TwinSettings, load_settings
 
         settings = TwinSettings(binning=binning, seed=seed)
+        settings = settings if twin is None else load_settings(twin, settings)
         with progress("s") as advance:
             result = simulate_print(
                 plan, rig, resin, out, turns=turns, dose_mj_per_cm2=dose, voxel_mm=voxel, settings=settings,

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from vialight.arrays import Volume
 from vialight.commands.provenance import inputs_json, versions
 from vialight.config import Rig
 from vialight.errors import InputError
 from vialight.mesh import Mesh
 from vialight.plan import Plan
-from vialight.store import FrameWriter, read_plan, rig_to_toml, staged_folder, write_json, write_stl
+from vialight.store import FrameWriter, read_plan, rig_to_toml, staged_folder, write_json, write_stl, write_volume
 from vialight.twin import (
     FaultsFile,
     Twin,
@@ -61,7 +62,8 @@ def simulate_print(
     resin
         What is in its vial: the name of a preset, or TOML.
     out
-        Folder for ``frames.h5``, ``truth.stl``, ``heights.npy``, ``reference.stl``, ``rig.toml`` and ``run.json``.
+        Folder for ``frames.h5``, ``truth.stl``, ``gel_time.zarr``, ``heights.npy``, ``reference.stl``, ``rig.toml`` and
+        ``run.json``.
     turns, dose_mj_per_cm2
         When the light goes off: after turns, or a dose in the part; by default when what will gel, with
         the dark cure, is as large as the part.
@@ -106,6 +108,8 @@ def simulate_print(
         printed = _record(folder / "frames.h5", twin, plan, planned, progress)
         truth = twin.surface()
         write_stl(folder / "truth.stl", truth)
+        gel_time_s = np.ascontiguousarray(np.moveaxis(twin.gel_time_s, -1, 0))
+        write_volume(folder / "gel_time.zarr", Volume(gel_time_s, twin.grid), {"quantity": "gel time", "unit": "s"})
         write_stl(folder / "reference.stl", plan.reference)
         recorded = believed.model_copy(update={"camera": believed.need_camera().binned(settings.binning)})
         (folder / "rig.toml").write_text(rig_to_toml(recorded), encoding="utf-8")

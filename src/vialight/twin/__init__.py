@@ -9,7 +9,7 @@ from vialight.twin.faults import Faults, FaultsFile, load_faults
 from vialight.twin.machine import Frame, Twin
 from vialight.twin.presets import ResinModel, find_rig, load_resin, resin_names, rig_names
 from vialight.twin.printing import Moment, check_that_it_gels, dose_a_turn_mj_per_cm2, grid_round, play
-from vialight.twin.settings import TwinSettings
+from vialight.twin.settings import TwinSettings, load_settings
 
 __all__ = [
     "Faults",
@@ -26,6 +26,7 @@ __all__ = [
     "grid_round",
     "load_faults",
     "load_resin",
+    "load_settings",
     "play",
     "resin_names",
     "rig_names",

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+from vialight.config import read_toml
+from vialight.errors import InputError
 from vialight.twin.faults import Faults
 from vialight.twin.sensor import Sensor, StrayLight
+from vialight.twin.tables import from_table
+
+_NOT_IN_FILES = frozenset({"binning", "image_shape", "stray", "sensor", "faults", "seed"})
+"""Tables of their own, or given elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -57,3 +64,38 @@ class TwinSettings:
     sensor: Sensor = Sensor()  # noqa: RUF009  frozen
     faults: Faults = Faults()  # noqa: RUF009  frozen
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("chemistry_step_s", 0.01, 60.0), ("blur_mm", 0.0, 5.0), ("rays_a_side", 1, 8), ("exposure_s", 1e-5, 10.0),
+            ("poses_a_frame", 1, 100), ("pupil_radius_mm", 0.0, 50.0), ("pupil_points", 1, 1000),
+            ("projector_pupil_radius_mm", 0.0, 50.0), ("projector_pupil_points", 1, 1000), ("extinction_mm2", 0.0, 1.0),
+            ("index_rise", 0.0, 0.5),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError("twin", f"{name} is {value}", accepted=f"{low:g} to {high:g}", remedy="correct it")
+
+
+def load_settings(path: str | Path, settings: TwinSettings | None = None) -> TwinSettings:
+    """Read how closely to look: a TOML file with the fields of `TwinSettings`, and tables ``[stray]``, ``[sensor]``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    settings
+        Gives binning, image, faults and seed, which the file does not.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is not TOML, or holds unknown or impossible values.
+    """
+    table = read_toml(Path(path), accepted="the twin's settings in TOML", remedy="check the path")
+    stray = from_table(StrayLight, table.pop("stray", {}), f"{path} [stray]")
+    sensor = from_table(Sensor, table.pop("sensor", {}), f"{path} [sensor]")
+    read = from_table(TwinSettings, table, str(path), leaving=_NOT_IN_FILES)
+    given = settings or TwinSettings()
+    kept = {name: getattr(given, name) for name in _NOT_IN_FILES - {"stray", "sensor"}}
+    return replace(read, stray=stray, sensor=sensor, **kept)

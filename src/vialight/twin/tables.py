@@ -14,7 +14,7 @@ from vialight.errors import InputError
 _Table = TypeVar("_Table")
 
 
-def from_table(kind: type[_Table], table: object, where: str) -> _Table:
+def from_table(kind: type[_Table], table: object, where: str, *, leaving: frozenset[str] = frozenset()) -> _Table:
     """Make a dataclass of numbers, whole numbers and pairs of numbers, which its defaults tell apart.
 
     Parameters
@@ -25,6 +25,8 @@ def from_table(kind: type[_Table], table: object, where: str) -> _Table:
         As read.
     where
         File and table, for errors.
+    leaving
+        Fields that the table may not set.
 
     Raises
     ------
@@ -37,7 +39,7 @@ def from_table(kind: type[_Table], table: object, where: str) -> _Table:
     >>> from_table(Scattering, {"steepness": 10}, "resin.toml [scattering]").steepness
     10.0
     """
-    named = {_key_of(field.name): field for field in fields(kind)}  # type: ignore[arg-type]
+    named = {_key_of(field.name): field for field in fields(kind) if field.name not in leaving}  # type: ignore[arg-type]
     if not isinstance(table, dict):
         raise InputError(where, f"is {table!r}", accepted=f"a table of {', '.join(named)}")
     for key in table:
@@ -59,11 +61,13 @@ def _key_of(name: str) -> str:
 def _like(default: object, value: Any, key: str, where: str) -> object:
     unit = math.radians(1) if key.endswith("_deg") else 1.0
     if isinstance(default, tuple):
-        if isinstance(value, list) and len(value) == len(default) and all(map(_is_number, value)):
-            return tuple(unit * float(one) for one in value)
-        accepted = f"{len(default)} finite numbers in brackets"
+        is_whole = all(isinstance(one, int) for one in default)
+        is_fitting = isinstance(value, list) and len(value) == len(default)
+        if is_fitting and all(map(_is_whole if is_whole else _is_number, value)):
+            return tuple(value) if is_whole else tuple(unit * float(one) for one in value)
+        accepted = f"{len(default)} {'whole' if is_whole else 'finite'} numbers in brackets"
     elif isinstance(default, int):
-        if isinstance(value, int) and not isinstance(value, bool):
+        if _is_whole(value):
             return value
         accepted = "a whole number"
     else:
@@ -71,6 +75,10 @@ def _like(default: object, value: Any, key: str, where: str) -> object:
             return unit * float(value)
         accepted = "a finite number"
     raise InputError(where, f"{key} is {value!r}", accepted=accepted, remedy="correct it")
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _is_number(value: object) -> bool:
