@@ -113,7 +113,7 @@ def test_a_stage_that_counts_clockwise_gives_the_same_volume(
 def test_a_turn_is_chosen_from_many(traced: tuple[Float32Array, FloatArray], tmp_path: Path) -> None:
     counts, angles = traced
     path = tmp_path / "f.h5"
-    series = [np.zeros_like(counts), counts, counts / np.float32(2), counts[:40]]
+    series = [np.zeros_like(counts), counts, counts / np.float32(2), counts[:40] / np.float32(2)]
     cumulative = angles[0] + np.arange(3 * ANGLES + 40) * (2 * np.pi / ANGLES)
     write_frames(path, np.rint(np.concatenate(series)).astype(np.uint16), cumulative)
     grid = Grid((2, 60, 60), 0.2)

@@ -52,7 +52,7 @@ class Settings:
     binning
         Sum this many by this many pixels first.
     turn
-        Which turn of the recording, from 1; by default the last full one.
+        Which turn of the recording, from 1; by default the one that ends with the last frame.
     accurate
         Backproject along the rays' climb in z too.
     filter_name

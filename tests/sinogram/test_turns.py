@@ -32,8 +32,8 @@ def test_every_turn_is_found_rising_or_falling_cumulative_or_wrapped(
     angles = degrees(first, sense * 360 / per_turn, count)
     if wrapped:
         angles = np.mod(angles, 2 * np.pi)
+    np.testing.assert_array_equal(select_turn(angles), np.arange(count - per_turn, count))
     last = np.arange((turns - 1) * per_turn, turns * per_turn)
-    np.testing.assert_array_equal(select_turn(angles), last)
     for turn in range(1, turns + 1):
         np.testing.assert_array_equal(select_turn(angles, turn), last - (turns - turn) * per_turn)
 
@@ -48,7 +48,8 @@ def test_half_a_turn_with_both_ends_is_kept_whole() -> None:
 
 
 def test_a_frame_at_360_deg_begins_the_next_turn() -> None:
-    np.testing.assert_array_equal(select_turn(degrees(0, 2, 181)), np.arange(180))
+    np.testing.assert_array_equal(select_turn(degrees(0, 2, 181), 1), np.arange(180))
+    np.testing.assert_array_equal(select_turn(degrees(0, 2, 181)), np.arange(1, 181))
 
 
 @pytest.mark.parametrize("turn", [0, -1, 3])
@@ -57,9 +58,13 @@ def test_a_turn_that_is_not_there_is_refused_with_those_that_are(turn: int) -> N
         select_turn(degrees(0, 2, 360), turn)
 
 
-def test_the_last_turn_is_full_though_its_last_frames_are_missing_or_early() -> None:
+def test_the_last_turn_ends_with_the_last_frame_wherever_in_a_turn_that_is() -> None:
+    np.testing.assert_array_equal(select_turn(degrees(0, 2, 500)), np.arange(320, 500))
+
+
+def test_a_turn_is_full_though_its_last_frames_are_missing_or_early() -> None:
     angles = degrees(0, 2, 540)
-    np.testing.assert_array_equal(select_turn(angles[:-2]), np.arange(360, 538))
+    np.testing.assert_array_equal(select_turn(angles[:-2], 3), np.arange(360, 538))
     angles[-1] -= np.radians(0.4)
     np.testing.assert_array_equal(select_turn(angles), np.arange(360, 540))
 

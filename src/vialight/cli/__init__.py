@@ -35,7 +35,9 @@ def main() -> None:
 @click.option("--threshold", type=float, help="Gelation threshold I_p, counts per mm. [default: the rig's]")
 @click.option("--voxel", type=float, help="Edge of a voxel, mm. [default: half a pixel]")
 @click.option("--bin", "binning", type=int, default=1, show_default=True, help="Sum N x N pixels first.")
-@click.option("--turn", type=int, help="Which turn of the recording, from 1. [default: the last full one]")
+@click.option(
+    "--turn", type=int, help="Which turn of the recording, from 1. [default: the one that ends with the last frame]"
+)
 @click.option(
     "--filter", "filter_name", type=click.Choice(["ram-lak", "shepp-logan", "cosine", "hann"]), default="cosine",
     show_default=True, help="Ramp filter, from sharpest to smoothest.",

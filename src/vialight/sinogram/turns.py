@@ -24,7 +24,8 @@ def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
     angles_rad
         (frame,) stage angles, rising or falling, cumulative or wrapped at a full turn.
     turn
-        1 is the turn that begins with the first frame; None the last full one, or all frames if there is none.
+        1 is the turn that begins with the first frame; None the one that ends with the last frame, since a print may
+        have grown until then, or all frames if they are less than a turn.
 
     Returns
     -------
@@ -38,11 +39,11 @@ def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
     """
     travelled = np.abs(np.unwrap(angles_rad) - angles_rad[0])
     step = nominal_step(travelled)
+    if turn is None:
+        return np.asarray(np.flatnonzero(travelled > travelled.max() + step / 2 - TURN_RAD), dtype=np.int64)
     end = travelled.max() + max(step, min(_SHORT_END_STEPS * step, _SHORT_END_RAD))
     turns = int(end / TURN_RAD + 1e-6)
-    if turn is None:
-        turn = max(turns, 1)
-    elif not 1 <= turn <= max(turns, 1):
+    if not 1 <= turn <= max(turns, 1):
         degrees = np.degrees(travelled.max())
         raise InputError("--turn", f"is {turn}, the frames span {degrees:.1f} deg", accepted=f"1 to {max(turns, 1)}")
     start = (turn - 1) * TURN_RAD - step / 2
