@@ -17,3 +17,9 @@ def shared_cases() -> Path:
     if not CASES.is_dir():
         pytest.skip(f"the shared cases are not at {CASES}; set VIALIGHT_CASES to where they are")
     return CASES
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _cache_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep what is kept for the user, such as rehearsals, out of the user's own cache folder."""
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))

@@ -33,7 +33,7 @@ _LINE_EVERY_S = 30.0
 )  # fmt: skip
 @click.option("--threshold", type=float, help="Gelation threshold I_p, counts per mm. [default: the rig's]")
 @click.option("--voxel", type=float, help="Edge of a live voxel, mm. [default: half a pixel]")
-@click.option("--every-deg", type=float, default=360.0, show_default=True, help="Keep a surface so often.")
+@click.option("--every-deg", type=float, default=360.0, show_default=True, help="Keep a volume so often.")
 @click.option("--longest", type=float, default=40.0, show_default=True, help="Turns after which it ends in any case.")
 @click.option("--tolerance", type=float, help="Largest deviation allowed, mm: gives a verdict.")
 @click.option("--resin", help="Of the simulated printer: DUDMA, BPAGDA, or TOML. [default: the rig's]")
@@ -68,7 +68,7 @@ def print_command(
         with stopped_by_interrupt("light off; ending the print") as keep_going:
             result = print_part(
                 plan, rig, out, settings=settings, live=live, simulation=simulation, keep_going=keep_going,
-                on_status=status_line(), on_step=_say, serve=serve,
+                on_status=status_line(), on_step=_say, on_rehearsal=_rehearsed, serve=serve,
             )  # fmt: skip
         show(result, as_json, lambda: print_lines(result, out))
 
@@ -79,30 +79,38 @@ def print_command(
 @click.option("--out", type=_FOLDER, help="Folder for what is measured on the way. [default: none is kept]")
 @click.option("--threshold", type=float, help="Gelation threshold I_p, counts per mm. [default: the rig's]")
 @click.option("--voxel", type=float, help="Edge of a live voxel, mm. [default: half a pixel]")
+@click.option("--every-deg", type=float, default=360.0, show_default=True, help="With --out: keep a volume so often.")
 @click.option("--serve", is_flag=True, help="Show it in a browser.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, alone on stdout.")
 def watch_command(
-    run: Path, rate: float, out: Path | None, threshold: float | None, voxel: float | None, serve: bool, as_json: bool
-) -> None:
+    run: Path, rate: float, out: Path | None, threshold: float | None, voxel: float | None, every_deg: float,
+    serve: bool, as_json: bool,
+) -> None:  # fmt: skip
     r"""Replay a RUN's recording as if it were live.
 
     \b
     Example:
       vialight watch run --rate 4
+      vialight watch run --rate 10 --out watched --every-deg 90
     """
     with faults_told():
         from vialight.commands.watching import watch_run
 
         with stopped_by_interrupt("ending the replay") as keep_going:
             result = watch_run(
-                run, rate=rate, out=out, threshold=threshold, voxel_mm=voxel, keep_going=keep_going,
-                on_status=status_line(), serve=serve, on_step=_say,
+                run, rate=rate, out=out, threshold=threshold, voxel_mm=voxel, every_deg=every_deg,
+                keep_going=keep_going, on_status=status_line(), serve=serve, on_step=_say,
             )  # fmt: skip
         show(result, as_json, lambda: watch_lines(result))
 
 
 def _say(message: str) -> None:
     click.echo(message, err=True)
+
+
+def _rehearsed(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        click.echo(f"\rrehearsed in {done} of {total} resins", err=True, nl=done == total)
 
 
 def status_line() -> Callable[[PrintStatus], None]:

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from vialight.commands.kept_rehearsals import kept_stop_model
 from vialight.commands.measuring import measure_surface, reconstruct_recording
 from vialight.commands.provenance import inputs_json, versions
-from vialight.commands.stop_models import stop_model_for
 from vialight.config import Rig
 from vialight.devices.opening import RealPrinter, names_devices
 from vialight.devices.simulated import Mishaps, SimulatedPrinter, WorldSettings
@@ -40,7 +40,8 @@ class Simulation:
     Parameters
     ----------
     resin
-        What is in its vial, a preset or TOML; by default the rig's resin, where that is a preset.
+        What is truly in its vial, a preset or TOML; by default the rig's resin, where that is a preset.  What the print
+        believes is the rig's resin, or this one where the rig names no preset.
     rate
         Seconds of the print in a second of the wall clock, where the machine keeps up.
     voxel_mm
@@ -89,6 +90,10 @@ class LiveOptions:
     every_deg: float = 360.0
     tolerance_mm: float | None = None
 
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.every_deg) and self.every_deg >= 1):
+            raise InputError("--every-deg", f"is {self.every_deg}", accepted="1 or more")
+
 
 def print_part(
     plan_path: str | Path,
@@ -101,6 +106,7 @@ def print_part(
     keep_going: Callable[[], bool] = lambda: True,
     on_status: Callable[[PrintStatus], None] = lambda status: None,
     on_step: Callable[[str], None] = lambda message: None,
+    on_rehearsal: Callable[[int, int], None] | None = None,
     serve: bool = False,
 ) -> dict[str, Any]:
     """Print a plan, record and measure it while it forms, and measure what came of it.
@@ -121,6 +127,8 @@ def print_part(
         Asked all the time; False ends the light at once and the print in its usual way.
     on_status, on_step
         Told how the print is doing, several times a second; and in words what is done besides.
+    on_rehearsal
+        Called with rehearsals done and to do.
     serve
         Show it in a browser, from a process of its own.
 
@@ -138,8 +146,10 @@ def print_part(
     """
     settings, live, simulation = settings or PrintSettings(), live or LiveOptions(), simulation or Simulation()
     job = _Job.read(Path(plan_path), rig_path, live, simulation)
-    on_step("rehearsing the print, to know when to stop")
-    model = stop_model_for(job.plan, job.recorded, job.resin) if settings.stop == "auto" else None
+    model = None
+    if settings.stop == "auto":
+        on_step("rehearsing the print, to know when to stop")
+        model = kept_stop_model(job.plan, job.recorded, job.resin, progress=on_rehearsal)
     run = _new_folder(Path(out))
     started = time.monotonic()
     result = job.write_to(run, settings)
@@ -205,8 +215,9 @@ class _Job:
         is_real = names_devices(rig)
         if is_real:
             _refuse_for_real_devices(simulation)
-        name = simulation.resin or (rig.resin.name if rig.resin.name in resin_names() else _DEFAULT_RESIN)
-        resin = load_resin(name)
+        named = rig.resin.name if rig.resin.name in resin_names() else None
+        name = simulation.resin or named or _DEFAULT_RESIN
+        resin = load_resin(named or name)
         reference = plan.reference if live.reference is None else load_mesh(live.reference)
         believed = rig if rig.resin.index_imaging is not None else resin.in_vial_of(rig)
         simulation = Simulation(
