@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil  # type: ignore[import-untyped]
 import pytest
 from click.testing import CliRunner
@@ -23,7 +24,7 @@ from vialight.cli import main
 from vialight.devices.simulated.display import BLACK, read_flips
 from vialight.links import LiveLink, Mailbox, find_live_print
 from vialight.mesh import load_mesh
-from vialight.store import list_history, open_frames, read_json
+from vialight.store import list_history, open_frames, read_json, read_series
 
 _PATIENCE_S = 400.0
 """Kernels are compiled first where nothing has run before."""
@@ -121,6 +122,11 @@ def test_print_goes_on_after_its_live_measurement_was_killed(tmp_path: Path) -> 
     assert printed.volume_mm3 > 0.2 * meant.volume_mm3
     assert read_json(run / "run.json")["state"] == "done"
     assert list_history(run)
+    volumes = read_series(run / "volumes.zarr")
+    assert (np.diff(volumes.time_s) > 0).all()
+    assert (volumes.volume(len(volumes) - 1).density > 55 * BINNING**2).sum() * volumes.grid.voxel_mm**3 == (
+        pytest.approx(printed.volume_mm3, rel=0.1)
+    )
     assert (run / "report.html").exists()
     assert not Path(link.mailboxes).exists()
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from vialight.arrays import TURN_RAD
+from vialight.commands.printing import LiveOptions
 from vialight.config import Rig, load_rig
 from vialight.devices import SimulatedClock
 from vialight.devices.replay import ReplayCamera, ReplayStage
@@ -37,6 +38,7 @@ def watch_run(
     out: str | Path | None = None,
     threshold: float | None = None,
     voxel_mm: float | None = None,
+    every_deg: float = 360.0,
     serve: bool = False,
     keep_going: Callable[[], bool] = lambda: True,
     on_status: Callable[[PrintStatus], None] = lambda status: None,
@@ -51,8 +53,8 @@ def watch_run(
     rate
         Times real time.
     out
-        Folder for the history that is measured on the way; by default none is kept.
-    threshold, voxel_mm
+        Folder for what is measured on the way, as a print keeps it: volumes, surfaces, history; by default none is.
+    threshold, voxel_mm, every_deg
         See `vialight.commands.printing.LiveOptions`.
     serve
         Show it in a browser.
@@ -74,6 +76,7 @@ def watch_run(
     run = Path(run)
     rig = load_rig(run / "rig.toml")
     threshold = rig.resin.threshold if threshold is None else threshold
+    LiveOptions(every_deg=every_deg)
     if threshold is None:
         raise InputError(f"{run / 'rig.toml'} [resin]", "has no threshold", remedy="give --threshold")
     if not (np.isfinite(rate) and 0.01 <= rate <= 100):
@@ -87,6 +90,7 @@ def watch_run(
         settings = LiveSettings(
             folder, boxes, rig, threshold, _frames_per_turn(camera),
             load_mesh(run / "reference.stl") if (run / "reference.stl").exists() else None, voxel_mm=voxel_mm,
+            every_deg=None if out is None else every_deg,
         )  # fmt: skip
         replay = _Replay(run, folder, boxes, camera, clock, LiveWatcher(settings))
         with contextlib.closing(camera), replay, contextlib.ExitStack() as stack:

@@ -17,7 +17,7 @@ from vialight.links import Mailbox, SurfaceSnapshot
 from vialight.live.analysis import Measured, mean_gel_times, measure, middle_slices, note_gelled, yardstick
 from vialight.live.following import LiveSettings
 from vialight.live.sharing import Given, SharedVolume
-from vialight.store import write_history, write_ply
+from vialight.store import SERIES, VolumeSeriesWriter, write_history, write_ply
 
 _LARGEST_SURFACE = 64 * 2**20
 _WAIT_S = 0.2
@@ -59,7 +59,13 @@ class _Analyst:
         self._snapshots, self._forecasts = (Mailbox(settings.mailboxes / name) for name in ("snapshot", "forecast"))
         self._against = None if settings.reference is None else yardstick(settings.reference, shared.grid)
         self._gel_time_s = np.full(shared.grid.shape, np.nan, np.float32)
-        self._kept_at_rad = -np.inf
+        self._series: VolumeSeriesWriter | None = None
+        if settings.every_deg is not None:
+            with contextlib.suppress(InputError):  # as in `measure_next`
+                self._series = VolumeSeriesWriter(settings.run / SERIES, shared.grid, {"threshold": settings.threshold})
+        turned = [] if self._series is None else self._series.moments.get("turned_deg", [])
+        self._kept = settings.kept_by(np.deg2rad(turned[-1])) if turned else 0
+        self._last: tuple[Given, Measured] | None = None
         (settings.run / "surfaces").mkdir(exist_ok=True)
 
     def measure_next(self) -> bool:
@@ -78,7 +84,11 @@ class _Analyst:
         return True
 
     def finish(self) -> None:
-        """Keep what only the end knows."""
+        """Keep what only the end knows, and what the print has come to."""
+        kept_s = [-np.inf] if self._series is None else self._series.moments.get("time_s", [-np.inf])
+        if self._last is not None and self._last[0].time_s > kept_s[-1]:
+            with contextlib.suppress(InputError):
+                self._keep_whole(*self._last)
         np.save(self._settings.run / "gel_time_s.npy", self._gel_time_s)
 
     def _told(self, given: Given, found: Measured) -> SurfaceSnapshot:
@@ -100,9 +110,20 @@ class _Analyst:
         newest = self._snapshots.newest()
         if newest is not None:
             write_history(self._settings.run, newest[1], told)
-        if abs(given.angle_rad - self._kept_at_rad) < np.deg2rad(self._settings.every_deg):
+        due = self._settings.kept_by(given.turned_rad)
+        self._last = given, found
+        if due > self._kept:
+            self._kept = due
+            self._keep_whole(given, found)
+
+    def _keep_whole(self, given: Given, found: Measured) -> None:
+        """Keep the volume and its surface."""
+        if self._series is None:
             return
-        self._kept_at_rad = given.angle_rad
+        self._series.append(
+            given.density, time_s=given.time_s, lit_s=given.lit_s, frame=given.frames - 1,
+            turned_deg=float(np.rad2deg(given.turned_rad)),
+        )  # fmt: skip
         if found.surface is not None:
             scalars = {"deviation_mm": found.deviation_mm} if len(found.deviation_mm) else {}
             write_ply(self._settings.run / "surfaces" / f"{given.frames - 1:06d}.ply", found.surface, scalars)

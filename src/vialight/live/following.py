@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from vialight.arrays import TURN_RAD, FloatArray
 from vialight.config import Rig
 from vialight.feedback import StopHistory, StopModel, fresh_history, observe, places, predict, sample
 from vialight.links import CameraImage, Mailbox, Snapshot, StopForecast
@@ -29,6 +30,7 @@ from vialight.store import FrameTail
 _POLL_S = 0.003
 _SECOND_S = 1.0
 _RATE_OVER = 50
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class LiveSettings:
     voxel_mm
         Of the live volume; by default that of a reconstruction.
     every_deg
-        Turn of the object between volumes and surfaces that are kept.
+        Turn of the object between volumes and surfaces that are kept, from the first full turn on; None to keep none.
     """
 
     run: Path
@@ -65,7 +67,22 @@ class LiveSettings:
     reference: Mesh | None = None
     stop_model: StopModel | None = None
     voxel_mm: float | None = None
-    every_deg: float = 360.0
+    every_deg: float | None = 360.0
+
+    def kept_by(self, turned_rad: float) -> int:
+        """Return how many volumes are to be kept by the time that the object has turned so far.
+
+        Examples
+        --------
+        >>> settings = LiveSettings(Path(), Path(), Rig(), 1.0, 180, every_deg=90.0)
+        >>> [settings.kept_by(np.deg2rad(turned)) for turned in (0, 359, 360, 449, 450, 720)]
+        [0, 0, 1, 1, 2, 5]
+        """
+        if self.every_deg is None:
+            return 0
+        every = np.deg2rad(self.every_deg)
+        full = int(np.ceil(TURN_RAD / every - _ROUNDING))
+        return max(0, int(turned_rad / every + _ROUNDING) - full + 1)
 
 
 def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
@@ -86,8 +103,9 @@ def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
         if new is not None:
             for counts, angle in zip(new.counts, new.angles_rad, strict=True):
                 window.add(counts, float(angle))
-            follower.renew(new.first + len(new.counts), float(new.time_s[-1]), float(new.angles_rad[-1]), new.time_s)
+            follower.renew(new.first + len(new.counts), new.time_s, new.angles_rad)
         elif is_finishing:
+            window.renew(everything=True)  # the last volume is of all that was seen
             follower.give_volume()
             orders.send("done")
             return
@@ -112,25 +130,32 @@ class _Follower:
         self._model = settings.stop_model
         self._history: StopHistory | None = None if self._model is None else fresh_history(self._model)
         self._places = None if self._model is None else places(self._model, window.grid)
-        self._given_at = -np.inf
+        self._given_at, self._given_turned_rad = -np.inf, 0.0
+        self._first_rad: float | None = None
         self._newest: tuple[int, float, float] = (0, 0.0, 0.0)
 
-    def renew(self, frames: int, time_s: float, angle_rad: float, times: Any) -> None:
+    def renew(self, frames: int, times_s: FloatArray, angles_rad: FloatArray) -> None:
         state = self._window.renew()
-        self._times.extend(times)
+        self._times.extend(times_s)
+        time_s, angle_rad = float(times_s[-1]), float(angles_rad[-1])
         snapshot = self._snapshot(state, frames, time_s, angle_rad)
         self._snapshots.put(snapshot)
-        self._newest = (frames, time_s, angle_rad)
+        if self._first_rad is None:
+            self._first_rad = float(angles_rad[0])
+        turned = abs(angle_rad - self._first_rad)
+        self._newest = (frames, time_s, turned)
         self._foresee(time_s)
-        if time.monotonic() - self._given_at >= _SECOND_S and self._shared.is_free():
+        kept_by = self._settings.kept_by
+        is_wanted = kept_by(turned) > kept_by(self._given_turned_rad)
+        if (is_wanted or time.monotonic() - self._given_at >= _SECOND_S) and self._shared.is_free():
             self.give_volume()
 
     def give_volume(self) -> None:
         """Hand the volume to the process that measures it."""
-        frames, time_s, angle_rad = self._newest
+        frames, time_s, turned_rad = self._newest
         if frames and self._shared.wait_until_free(_SECOND_S):
-            self._shared.give(self._window.volume, frames, time_s, self._lit.at(time_s), angle_rad)
-            self._given_at = time.monotonic()
+            self._shared.give(self._window.volume, frames, time_s, self._lit.at(time_s), turned_rad)
+            self._given_at, self._given_turned_rad = time.monotonic(), turned_rad
 
     def _snapshot(self, state: WindowState, frames: int, time_s: float, angle_rad: float) -> Snapshot:
         span = self._times[-1] - self._times[0]

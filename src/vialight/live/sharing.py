@@ -14,7 +14,7 @@ from vialight.arrays import Float32Array, Grid
 from vialight.live.analysis import grid_of
 
 _HEAD = struct.Struct("<QQQdddQ")
-"""Number given, number taken, frames, time, lit time, angle, unused."""
+"""Number given, number taken, frames, time, lit time, angle turned, unused."""
 _GRID = struct.Struct("<QQQdd")
 _BEGIN = 128
 _POLL_S = 0.002
@@ -29,7 +29,8 @@ class Given(NamedTuple):
     frames: int
     time_s: float
     lit_s: float
-    angle_rad: float
+    turned_rad: float
+    """Since the first frame of the recording, whichever way."""
 
 
 class SharedVolume:
@@ -81,11 +82,11 @@ class SharedVolume:
             time.sleep(_POLL_S)
         return True
 
-    def give(self, volume: Float32Array, frames: int, time_s: float, lit_s: float, angle_rad: float) -> None:
+    def give(self, volume: Float32Array, frames: int, time_s: float, lit_s: float, turned_rad: float) -> None:
         """Copy the region of a (z, y, x) volume and hand it over."""
         given, taken, *_ = _HEAD.unpack_from(self._map)
         np.copyto(self._density, volume[self._region])
-        _HEAD.pack_into(self._map, 0, given, taken, frames, time_s, lit_s, angle_rad, 0)
+        _HEAD.pack_into(self._map, 0, given, taken, frames, time_s, lit_s, turned_rad, 0)
         struct.pack_into("<Q", self._map, 0, given + 1)
 
     def take(self, timeout_s: float) -> Given | None:
@@ -99,8 +100,8 @@ class SharedVolume:
 
     def newest(self) -> Given:
         """Return the volume given last without taking it: it may be overwritten while it is looked at."""
-        _, _, frames, time_s, lit_s, angle, _ = _HEAD.unpack_from(self._map)
-        return Given(self._density, frames, time_s, lit_s, angle)
+        _, _, frames, time_s, lit_s, turned, _ = _HEAD.unpack_from(self._map)
+        return Given(self._density, frames, time_s, lit_s, turned)
 
     def give_back(self) -> None:
         """Let the next volume be given."""

@@ -8,12 +8,22 @@ import time
 from multiprocessing.connection import Connection
 from typing import Any
 
+import numpy as np
+
 from vialight.links import Mailbox, Snapshot, StopForecast, SurfaceSnapshot
 from vialight.live.analysing import analyse
+from vialight.live.analysis import grid_of, region_of
 from vialight.live.following import LiveSettings, follow
+from vialight.live.window import beam_of
+from vialight.pipeline import grid_of_view
 
 _FINISH_TIMEOUT_S = 60.0
 _END_TIMEOUT_S = 2.0
+
+
+_FLOAT_BYTES, _HALF_BYTES = 4, 2
+_SURFACE_BYTES = 42
+"""Of a PLY, for each voxel that the surface passes: one vertex with its deviation, two triangles."""
 
 
 class LiveWatcher:
@@ -36,6 +46,29 @@ class LiveWatcher:
         self._orders: dict[str, Connection[Any, Any]] = {}
         self._ready: set[str] = set()
         self._boxes: dict[str, Mailbox] = {}
+
+    def room_for(self, image_shape: tuple[int, int], turns: float) -> int:
+        """Return the bytes that what it keeps of a print may take at most: volumes, surfaces, history.
+
+        Parameters
+        ----------
+        image_shape
+            Of the frames.
+        turns
+            Of the stage.
+        """
+        settings = self._settings
+        if settings.every_deg is None:
+            return 0
+        camera, optics = settings.rig.need_camera(), settings.rig.imaging_optics()
+        beam = beam_of(camera, optics, image_shape, settings.frames_per_turn)
+        grid = grid_of_view(image_shape[0], camera, optics, beam, settings.voxel_mm)
+        part = grid_of(grid, region_of(grid, settings.reference))
+        area_mm2 = 0.0 if settings.reference is None else float(settings.reference.face_areas_mm2.sum())
+        kept = _FLOAT_BYTES * np.prod(part.shape) + _SURFACE_BYTES * area_mm2 / grid.voxel_mm**2
+        moment = sum(2 * _planes(shape) for shape in (grid.shape, part.shape)) * _HALF_BYTES
+        turn_s = 360 / settings.rig.stage.speed_deg_s
+        return int(kept * (turns * 360 / settings.every_deg + 1) + moment * turns * turn_s)
 
     def start(self) -> None:
         """Begin to follow; what had been started before is ended first, and the recording is read again."""
@@ -122,3 +155,9 @@ class LiveWatcher:
             self._boxes[name] = Mailbox(path)
         found = self._boxes[name].newest()
         return None if found is None else found[1]
+
+
+def _planes(shape: tuple[int, int, int]) -> int:
+    """Return the pixels of a moment's three images."""
+    z, y, x = shape
+    return y * x + z * x + z * y

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vialight.arrays import TURN_RAD, BoolArray, Float32Array, FloatArray, Grid, IntArray, ParallelBeam
-from vialight.config import Camera, Rig
+from vialight.config import Camera, Optics, Rig
 from vialight.errors import InputError
 from vialight.links import Sums
 from vialight.live.schedule import Schedule
@@ -114,9 +114,9 @@ class SlidingWindow:
     ) -> None:
         shape = _checked_shape(frame_shape, frames_per_turn, dark, binning)
         camera, optics = rig.need_camera().binned(binning), rig.imaging_optics()
-        psi = np.arange(frames_per_turn, dtype=np.float64) * (TURN_RAD / frames_per_turn)
-        self.beam: ParallelBeam = parallel_beam(psi, shape[1], camera, optics)
+        self.beam: ParallelBeam = beam_of(camera, optics, shape, frames_per_turn)
         self.grid: Grid = grid or grid_of_view(shape[0], camera, optics, self.beam, voxel_mm)
+        psi = self.beam.psi_rad
         self.threshold = threshold
         self._direction, self._binning, self._frame_shape = rig.stage.direction, binning, frame_shape
         self._dark = None if dark is None else bin_frames(dark, binning)
@@ -264,6 +264,12 @@ class SlidingWindow:
         passing = self._schedule.incomplete(self._turn.newest_rad, self._turn.sense)
         older, never = best == LOST, best == NEVER
         return np.asarray(passing[:, None] & ~(older | never)), older, never
+
+
+def beam_of(camera: Camera, optics: Optics | None, frame_shape: tuple[int, int], frames_per_turn: int) -> ParallelBeam:
+    """Return the rays of a window's sinogram."""
+    psi = np.arange(frames_per_turn, dtype=np.float64) * (TURN_RAD / frames_per_turn)
+    return parallel_beam(psi, frame_shape[1], camera, optics)
 
 
 def compile_kernels() -> None:

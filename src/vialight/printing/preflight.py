@@ -54,8 +54,8 @@ def check_exposure(image: NDArray[np.uint16], full_level: int) -> None:
         )  # fmt: skip
 
 
-def check_room(run: Path, image: NDArray[np.uint16], frames: int) -> None:
-    """Refuse a disk that cannot hold the longest print.
+def check_room(run: Path, image: NDArray[np.uint16], frames: int, others: int = 0) -> None:
+    """Refuse a disk that cannot hold the longest print: frames, and bytes of all else that is kept.
 
     Raises
     ------
@@ -63,10 +63,11 @@ def check_room(run: Path, image: NDArray[np.uint16], frames: int) -> None:
         Says what is needed and what is free.
     """
     needed, free = room_for(run, image, frames)
-    if free < needed:
+    if free < needed + others:
         raise InputError(
-            run, f"has {free / 1e9:.2f} GB free, {frames} frames may take {needed / 1e9:.2f} GB",
-            remedy="free space, or choose another disk",
+            run, f"has {free / 1e9:.2f} GB free; {frames} frames may take {needed / 1e9:.2f} GB, volumes and all else "
+            f"that is kept over time {others / 1e9:.2f} GB",
+            remedy="free space, choose another disk, or --longest or --every-deg",
         )  # fmt: skip
 
 

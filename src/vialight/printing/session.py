@@ -94,6 +94,10 @@ def stop_settings(stop: str, **others: float) -> PrintSettings:
 class Watcher(Protocol):
     """Sees the print while it forms; lives in processes of its own and reads what is recorded."""
 
+    def room_for(self, image_shape: tuple[int, int], turns: float) -> int:
+        """Return the bytes that it may add to the run's folder in so many turns of the stage."""
+        ...
+
     def start(self) -> None:
         """Begin to follow the recording, which exists by now; again after it has failed."""
         ...
@@ -219,7 +223,8 @@ class _Session:
         preflight.check_exposure(self._image.counts, self._devices.camera.full_level)
         turns = self._settings.longest_turns + self._settings.after_turns + 2
         frames = int(turns * self._turn_s * self._settings.frame_rate_hz)
-        preflight.check_room(self._run, self._image.counts, frames)
+        others = self._watcher.room_for(self._devices.camera.image_shape, turns)
+        preflight.check_room(self._run, self._image.counts, frames, others)
         self._wait(self._is_up_to_speed, "stage", "does not reach its speed")
 
     def take_background(self) -> None:

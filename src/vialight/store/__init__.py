@@ -24,12 +24,14 @@ from vialight.store.projections import read_projections
 from vialight.store.recording import FrameWriter, write_frames
 from vialight.store.results import read_json, sha256_of, to_json, write_json
 from vialight.store.rigs import rig_to_toml, with_values
+from vialight.store.series import SERIES, VolumeSeries, VolumeSeriesWriter, read_series
 from vialight.store.states import SavedState, read_state, write_state
 from vialight.store.tables import read_table
 from vialight.store.tail import FrameTail, NewFrames
 from vialight.store.volumes import VolumeWriter, read_volume, write_volume
 
 __all__ = [
+    "SERIES",
     "FrameFile",
     "FrameTail",
     "FrameWriter",
@@ -39,6 +41,8 @@ __all__ = [
     "Planes",
     "SavedState",
     "StoredSurface",
+    "VolumeSeries",
+    "VolumeSeriesWriter",
     "VolumeWriter",
     "export_mp4",
     "export_png",
@@ -50,6 +54,7 @@ __all__ = [
     "read_json",
     "read_plan",
     "read_projections",
+    "read_series",
     "read_state",
     "read_surface",
     "read_table",

@@ -63,32 +63,19 @@ class VolumeWriter:
         self, path: str | Path, grid: Grid, attributes: Mapping[str, Any] | None = None, *, name: str | None = None
     ) -> None:
         import zarr
-        from zarr.codecs import BloscCodec
 
         self.path = Path(path)
         self.grid = grid
-        self._attributes = _describe(name or self.path.stem, grid, dict(attributes or {}))
+        self._attributes = described(name or self.path.stem, grid, dict(attributes or {}))
         self._waiting: dict[int, tuple[Float32Array, np.ndarray[Any, np.dtype[np.bool_]]]] = {}
         self._unwritten = set(range(-(-grid.shape[0] // _SHARD_SLICES)))
         if self.path.exists():
             raise InputError(self.path, "exists already", accepted="a new name", remedy="move it out of the way")
-        depth = min(_SHARD_SLICES, grid.shape[0])
-        rows, columns = (_even_chunk(count) for count in grid.shape[1:])
         try:
             self._group = zarr.create_group(self.path, zarr_format=3)
-            self._array = self._group.create_array(
-                "0",
-                shape=grid.shape,
-                dtype=np.float32,
-                chunks=(depth, rows, columns),
-                shards=(depth, rows * -(-grid.shape[1] // rows), columns * -(-grid.shape[2] // columns)),
-                compressors=BloscCodec(typesize=4, cname="lz4", clevel=5, shuffle="bitshuffle"),
-                dimension_names=("z", "y", "x"),
-                # A shard of zeros is written too, so that one that is missing was lost.
-                config={"write_empty_chunks": True},
-            )
+            self._array = create_array(self._group, grid, _SHARD_SLICES)
         except OSError as error:
-            raise _unwritable(self.path, error) from error
+            raise not_written(self.path, error) from error
 
     def __setitem__(self, slices: slice, block: Float32Array) -> None:
         """Write consecutive slices; `block` is (slice, y, x), counts per mm."""
@@ -119,7 +106,7 @@ class VolumeWriter:
         try:
             self._array[first : first + depth] = block
         except OSError as error:
-            raise _unwritable(self.path, error) from error
+            raise not_written(self.path, error) from error
         self._waiting.pop(shard, None)
         self._unwritten.discard(shard)
 
@@ -140,7 +127,7 @@ class VolumeWriter:
         try:
             self._group.attrs.update(self._attributes)
         except OSError as error:
-            raise _unwritable(self.path, error) from error
+            raise not_written(self.path, error) from error
 
 
 def write_volume(path: str | Path, volume: Volume, attributes: Mapping[str, Any] | None = None) -> None:
@@ -203,7 +190,7 @@ def read_volume(path: str | Path) -> Volume:
         raise InputError(path, "is not a zarr of version 3 (it holds no zarr.json)", accepted=_WANTED)
     import zarr
 
-    with _damage_told(path):
+    with damage_told(path):
         group = zarr.open_group(path, mode="r", zarr_format=3)
         attributes = dict(group.attrs)
         if "ome" not in attributes:
@@ -213,7 +200,7 @@ def read_volume(path: str | Path) -> Volume:
         array = group["0"]
         if not isinstance(array, zarr.Array) or array.ndim != 3:
             raise InputError(path, "is not an image of three axes", accepted=_WANTED)
-        grid = _grid_of(path, attributes, array.shape)
+        grid = grid_of_image(path, attributes, array.shape)
         missing = _missing_shards(path, array)
         if missing:
             raise InputError(path, f"{missing} shards are missing", accepted="all of them", remedy="copy it again")
@@ -221,7 +208,8 @@ def read_volume(path: str | Path) -> Volume:
 
 
 @contextmanager
-def _damage_told(path: Path) -> Iterator[None]:
+def damage_told(path: Path) -> Iterator[None]:
+    """Tell a zarr that cannot be read as damaged."""
     try:
         yield
     except (OSError, ValueError, KeyError, TypeError, IndexError, RuntimeError) as error:
@@ -230,37 +218,76 @@ def _damage_told(path: Path) -> Iterator[None]:
         ) from error
 
 
+def create_array(group: Any, grid: Grid, shard_slices: int, moments: int | None = None) -> Any:
+    """Make the array of an image.
+
+    Parameters
+    ----------
+    group
+        Open for writing.
+    grid
+        Of a volume.
+    shard_slices
+        Slices in a file.
+    moments
+        Volumes there is room for, along a first axis t; None for a single volume, without one.
+    """
+    from zarr.codecs import BloscCodec
+
+    depth = min(_SHARD_SLICES, grid.shape[0])
+    rows, columns = (_even_chunk(count) for count in grid.shape[1:])
+    shard = tuple(
+        edge * -(-min(most, count) // edge)
+        for edge, most, count in zip((depth, rows, columns), (shard_slices, *grid.shape[1:]), grid.shape, strict=True)
+    )
+    over_time = () if moments is None else (1,)
+    return group.create_array(
+        "0",
+        shape=grid.shape if moments is None else (moments, *grid.shape),
+        dtype=np.float32,
+        chunks=(*over_time, depth, rows, columns),
+        shards=(*over_time, *shard),
+        compressors=BloscCodec(typesize=4, cname="lz4", clevel=5, shuffle="bitshuffle"),
+        dimension_names=tuple("zyx" if moments is None else "tzyx"),
+        # A shard of zeros is written too, so that one that is missing was lost.
+        config={"write_empty_chunks": True},
+    )
+
+
 def _even_chunk(count: int) -> int:
     """Divide `count` into equal chunks near the usual edge, so that little of the last one is padding."""
     return -(-count // -(-count // _CHUNK_EDGE))
 
 
-def _describe(name: str, grid: Grid, attributes: dict[str, Any]) -> dict[str, Any]:
-    transforms = [
-        {"type": "scale", "scale": [grid.voxel_mm] * 3},
-        {"type": "translation", "translation": list(grid.origin_mm)},
-    ]
-    multiscale = {
-        "name": name,
-        "axes": [{"name": axis, "type": "space", "unit": "millimeter"} for axis in "zyx"],
-        "datasets": [{"path": "0", "coordinateTransformations": transforms}],
-    }
+def described(
+    name: str, grid: Grid, attributes: dict[str, Any], over_time_s: tuple[float, float] | None = None
+) -> dict[str, Any]:
+    """Return the attributes of an image; of one over time, begin and step are given."""
+    axes = [{"name": axis, "type": "space", "unit": "millimeter"} for axis in "zyx"]
+    scale, translation = [grid.voxel_mm] * 3, list(grid.origin_mm)
+    if over_time_s is not None:
+        axes.insert(0, {"name": "t", "type": "time", "unit": "second"})
+        scale, translation = [over_time_s[1], *scale], [over_time_s[0], *translation]
+    transforms = [{"type": "scale", "scale": scale}, {"type": "translation", "translation": translation}]
+    multiscale = {"name": name, "axes": axes, "datasets": [{"path": "0", "coordinateTransformations": transforms}]}
     own = {"quantity": "scattering density", "unit": "counts per mm", "centre_z_mm": grid.centre_z_mm}
     return {"ome": {"version": "0.5", "multiscales": [multiscale]}, "vialight": own | attributes}
 
 
-def _grid_of(path: Path, attributes: dict[str, Any], shape: tuple[int, ...]) -> Grid:
+def grid_of_image(path: Path, attributes: dict[str, Any], shape: tuple[int, ...], *, over_time: bool = False) -> Grid:
+    """Return the grid of an image; one that vialight does not have is refused."""
     (multiscale,) = attributes["ome"]["multiscales"]
     axes = [(axis["name"], axis.get("unit")) for axis in multiscale["axes"]]
-    if axes != [(axis, "millimeter") for axis in "zyx"]:
+    if axes != [("t", "second")] * over_time + [(axis, "millimeter") for axis in "zyx"]:
         raise InputError(path, f"has the axes {axes}", accepted=_WANTED)
     scale, translation = multiscale["datasets"][0]["coordinateTransformations"]
-    voxel_mm, *others = scale["scale"]
-    origin = np.array(translation["translation"], dtype=np.float64)
+    voxel_mm, *others = scale["scale"][-3:]
+    origin = np.array(translation["translation"][-3:], dtype=np.float64)
     # The translation holds the centre's height up to rounding; our own key holds it exactly.
-    derived = float(origin[0] - Grid((shape[0], shape[1], shape[2]), voxel_mm).origin_mm[0])
+    z, y, x = shape[-3:]
+    derived = float(origin[0] - Grid((z, y, x), voxel_mm).origin_mm[0])
     centre_z_mm = attributes.get("vialight", {}).get("centre_z_mm", derived)
-    grid = Grid((shape[0], shape[1], shape[2]), voxel_mm, centre_z_mm)
+    grid = Grid((z, y, x), voxel_mm, centre_z_mm)
     if others != [voxel_mm, voxel_mm] or not np.allclose(origin, grid.origin_mm, rtol=0, atol=1e-6 * voxel_mm):
         raise InputError(
             path, f"has voxels of {scale['scale']} mm from {origin.tolist()} mm",
@@ -275,6 +302,7 @@ def _missing_shards(path: Path, array: Any) -> int:
     return sum(not (path / array.path / key).is_file() for key in keys)
 
 
-def _unwritable(path: Path, error: OSError) -> Exception:
+def not_written(path: Path, error: OSError) -> Exception:
+    """Return what to raise where a volume cannot be written."""
     # A full disk is told by whoever stages the output: only there is it known what became of it.
     return error if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else unwritable(path, error)
