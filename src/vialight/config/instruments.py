@@ -30,10 +30,15 @@ class CameraSettings(Table):
 
 
 class StageSettings(Table):
-    """A rotation stage that speaks GCS 2, at ``socket://host:port`` or ``serial:///dev/ttyUSB0?baud=115200``."""
+    """A rotation stage that speaks GCS 2, at ``socket://host:port`` or ``serial:///dev/ttyUSB0?baud=115200``.
+
+    ``reference`` is what its zero is: its reference switch, or ``here``, where it stands, for a stage without one.
+    ``latency_s`` goes from when it was at an angle to the middle of the question for it and the answer.
+    """
 
     address: str | None = None
     axis: str = "1"
+    reference: Literal["switch", "here"] = "switch"
     latency_s: NotNegative = 0.0
 
 
