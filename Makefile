@@ -12,6 +12,7 @@ test: setup system lint check
 
 # What tests need of the system, as command:package.  Without the right to install it they are skipped, but never under CI.
 SYSTEM := chromium:chromium
+SYSTEM += Xvfb:xvfb Xvfb:libgl1-mesa-dri
 
 system:
 	@for pair in $(SYSTEM); do command -v $${pair%%:*} >/dev/null || missing="$$missing $${pair##*:}"; done; \

@@ -166,7 +166,7 @@ class _SerialPort:
             self._port.set_low_latency_mode(True)
 
     def read(self) -> bytes:
-        first = self._port.read(1)
+        first: bytes = self._port.read(1)
         return first + self._port.read(self._port.in_waiting) if first else first
 
     def write(self, content: bytes) -> None:
