@@ -8,22 +8,27 @@ from pydantic import Field
 
 from vialight.config.fields import Finite, Length, NotNegative, Table
 
+Place = Annotated[int, Field(ge=0)]
+Size = Annotated[int, Field(ge=1)]
+
 
 class CameraSettings(Table):
     """A GenICam camera; names and units are those of its standard features, in seconds and decibels.
 
-    ``device`` is its serial number, address or identifier, by default the only one that is found; ``producer`` the
-    GenTL producer (``.cti``) by which ``harvesters`` reaches it.  ``latency_s`` goes from the middle of an exposure to
-    the frame's time stamp by the print's clock.
+    What is left out stays as the camera has it.  ``device`` is its serial number, address or identifier, by default
+    the only one that is found; ``producer`` the GenTL producer (``.cti``) by which ``harvesters`` reaches it, by
+    default all that vendors have installed.  ``region`` is left, top, width, height, in pixels as binned.  ``trigger``
+    is ``"software"`` where vialight triggers each frame, ``"line"`` where a signal at ``trigger_line`` does.
+    ``latency_s`` goes from the middle of an exposure to the frame's time stamp by the print's clock.
     """
 
     device: str | None = None
     producer: str | None = None
     exposure_s: Length | None = None
     gain_db: Finite | None = None
-    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono12p", "Mono12Packed", "Mono16"] | None = None
+    pixel_format: Literal["Mono8", "Mono10", "Mono10p", "Mono12", "Mono12p", "Mono12Packed", "Mono16"] | None = None
     binning: Annotated[int, Field(ge=1)] | None = None
-    region: tuple[int, int, int, int] | None = None
+    region: tuple[Place, Place, Size, Size] | None = None
     trigger: Literal["free-running", "software", "line"] = "free-running"
     trigger_line: str = "Line0"
     latency_s: NotNegative = 0.0

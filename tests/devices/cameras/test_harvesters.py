@@ -1,0 +1,94 @@
+"""GenTL: the demonstration producer of the genicam wheel, a game that is played on three cameras."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from needs import need_module
+from vialight.config import Camera, CameraSettings
+from vialight.devices import DeviceError, MonotonicClock
+from vialight.devices.cameras import list_cameras, open_camera
+from vialight.errors import InputError, VialightWarning
+
+
+@pytest.fixture(scope="module")
+def producer() -> Path:
+    need_module("harvesters")
+    import genicam
+
+    return Path(genicam.__file__).parent / "viky.cti"
+
+
+def table(producer: Path, **settings: Any) -> Camera:
+    wanted = {"device": "1", "producer": str(producer), "pixel_format": "Mono8", "region": (0, 0, 480, 300)} | settings
+    return Camera(
+        pixel_mm=0.1, axis_column=239.5, optical_row=149.5, driver="harvesters",
+        settings=CameraSettings.model_validate(wanted),
+    )  # fmt: skip
+
+
+def test_the_demo_producer_streams_without_loss_at_an_even_pace(producer: Path) -> None:
+    interrupt = signal.getsignal(signal.SIGINT)
+    camera = open_camera(table(producer), MonotonicClock())
+    try:
+        assert (camera.image_shape, camera.full_level, camera.rounded) == ((300, 480), 255, [])
+        camera.start(30.0)
+        frames = [camera.next_frame(5.0) for _ in range(90)]
+        camera.start(10.0)
+        again = [camera.next_frame(5.0) for _ in range(3)]
+    finally:
+        camera.close()
+    assert signal.getsignal(signal.SIGINT) is interrupt
+    assert [frame.number for frame in frames] == list(range(90))
+    assert [frame.number for frame in again] == [0, 1, 2]
+    assert (camera.incomplete, camera.links_lost) == (0, 0)
+    assert frames[0].counts.shape == (300, 480)
+    assert 0 < frames[0].counts.max() <= 255
+    assert not np.array_equal(frames[0].counts, frames[-1].counts)  # the ball has moved
+    assert (frames[-1].time_s - frames[0].time_s) / 89 == pytest.approx(1 / 30, rel=0.02)
+
+
+def test_settings_are_read_back(producer: Path) -> None:
+    with pytest.warns(VialightWarning, match="Width is 800 instead of 1000"):
+        camera = open_camera(table(producer, region=(0, 0, 1000, 300)), MonotonicClock())
+    assert camera.image_shape == (300, 800)
+    camera.close()
+    with pytest.raises(DeviceError, match="does not take Mono16 for PixelFormat; accepted: RGBa8, Mono8"):
+        open_camera(table(producer, pixel_format="Mono16"), MonotonicClock())
+    with pytest.raises(DeviceError, match=r"RGBa8; set \[camera.settings\] pixel_format"):
+        open_camera(table(producer, pixel_format=None), MonotonicClock())
+
+
+def test_which_camera_is_meant_must_be_told(producer: Path) -> None:
+    with pytest.raises(DeviceError, match=r"3 were found; found: Machine Vision Games Ltd. Viky, serial number 0; .*"):
+        open_camera(table(producer, device=None), MonotonicClock())
+    with pytest.raises(DeviceError, match="camera 7: was not found; found: Machine"):
+        open_camera(table(producer, device="7"), MonotonicClock())
+
+
+def test_cameras_of_the_producers_on_the_standard_path_are_listed(
+    producer: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GENICAM_GENTL64_PATH", str(producer.parent))
+    found, _ = list_cameras()
+    assert [one.serial for one in found if one.driver == "harvesters"] == ["0", "1", "2"]
+    monkeypatch.delenv("GENICAM_GENTL64_PATH")
+    found, unable = list_cameras()
+    assert [one for one in found if one.driver == "harvesters"] == []
+    assert "GENICAM_GENTL64_PATH names no folder" in unable["harvesters"]
+
+
+def test_a_producer_that_is_missing_or_a_library_that_is_not_there_is_told(
+    producer: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match=r"nowhere.cti is not there; accepted: a GenTL producer"):
+        open_camera(table(Path("nowhere.cti")), MonotonicClock())
+    monkeypatch.setitem(sys.modules, "harvesters.core", None)
+    with pytest.raises(DeviceError, match=r"is not installed .*pip install 'vialight\[harvesters\]'"):
+        open_camera(table(producer), MonotonicClock())
