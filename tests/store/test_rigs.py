@@ -31,7 +31,7 @@ tables = st.fixed_dictionaries(
                     optional={
                         "device": st.text(max_size=20),
                         "exposure_s": lengths,
-                        "region": st.tuples(*[st.integers(0, 4096)] * 4),
+                        "region": st.tuples(*[st.integers(0, 4096)] * 2, *[st.integers(1, 4096)] * 2),
                     },
                 ),
             },
