@@ -1,6 +1,32 @@
 """What a calibration finds: estimators, arrays in, values with their standard uncertainties out."""
 
+from vialight.calibrate.circles import Circle
 from vialight.calibrate.findings import Finding, Findings
+from vialight.calibrate.height_maps import circle_in_heights
+from vialight.calibrate.surface_threshold import SurfaceThreshold, surface_threshold
+from vialight.calibrate.threshold import (
+    Overhead,
+    RimThreshold,
+    overhead,
+    radius_at,
+    rim_threshold,
+    weighted_mean,
+)
 from vialight.calibrate.working_curve import WorkingCurve, fit_working_curve
 
-__all__ = ["Finding", "Findings", "WorkingCurve", "fit_working_curve"]
+__all__ = [
+    "Circle",
+    "Finding",
+    "Findings",
+    "Overhead",
+    "RimThreshold",
+    "SurfaceThreshold",
+    "WorkingCurve",
+    "circle_in_heights",
+    "fit_working_curve",
+    "overhead",
+    "radius_at",
+    "rim_threshold",
+    "surface_threshold",
+    "weighted_mean",
+]

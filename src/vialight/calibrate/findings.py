@@ -16,7 +16,7 @@ class Finding:
     table, key
         Where it stands in the rig; an inner table as in ``"stage.run_out"``.
     value
-        What it is.
+        What it is; None where the rig is not to state it any more.
     uncertainty
         Standard uncertainty, in the value's own unit; None where none can be stated.
     how

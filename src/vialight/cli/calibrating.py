@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from vialight.cli.running import faults_told, show
+from vialight.cli.running import faults_told, progress, show
 from vialight.cli.tables import calibration_lines
 
 _FILE = click.Path(path_type=Path)
@@ -43,4 +43,52 @@ def resin(table: Path, rig: Path, out: Path, as_json: bool) -> None:
         from vialight.commands.calibrating import calibrate_resin
 
         result = calibrate_resin(table, rig, out)
+        show(result, as_json, lambda: calibration_lines(result, out))
+
+
+@calibrate.command()
+@click.argument("frames", nargs=-1, required=True, type=_FILE)
+@click.option("--profile", "profiles", multiple=True, type=_FILE, help="Height map of the cylinder, a FRAMES each.")
+@click.option("--profile-pixel-mm", type=float, help="Pitch of the height maps' pixels.")
+@click.option("--reference", "references", multiple=True, type=_FILE, help="The print's true surface, in place of it.")
+@click.option(
+    "--validate", multiple=True, nargs=2, type=_FILE, metavar="FRAMES PROFILE",
+    help="Compare another cylinder's diameters; may be repeated.",
+)  # fmt: skip
+@click.option("--voxel", type=float, help="Edge of a voxel, mm. [default: half a pixel]")
+@click.option("--bin", "binning", type=int, default=1, show_default=True, help="Sum N x N pixels first.")
+@click.option("--turn", type=int, help="Which turn of the recordings, from 1. [default: the last full one]")
+@click.option("--exposure-s", type=float, help="Of the camera, where neither recording nor rig says it.")
+@click.option("--gain-db", type=float, help="Likewise.")
+@click.option("--led-level", type=float, help="Of the light, in any unit that is proportional to it. Likewise.")
+@_rig
+@_out
+@_as_json
+def threshold(
+    frames: tuple[Path, ...], profiles: tuple[Path, ...], profile_pixel_mm: float | None, references: tuple[Path, ...],
+    validate: tuple[tuple[Path, Path], ...], voxel: float | None, binning: int, turn: int | None,
+    exposure_s: float | None, gain_db: float | None, led_level: float | None, rig: Path, out: Path, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Find the gelation threshold I_p from FRAMES of a standard cylinder and its profile, or of several.
+
+    \b
+    Example:
+      vialight calibrate threshold frames.h5 --profile heights.npy --profile-pixel-mm 0.05 --rig rig.toml --out new.toml
+      vialight calibrate threshold frames.h5 --reference scan.stl --rig rig.toml --out new.toml
+    """
+    with faults_told():
+        from vialight.commands.calibrating import Standard, ThresholdOptions, calibrate_threshold
+        from vialight.config import ThresholdConditions
+        from vialight.pipeline import Settings
+
+        known = profiles or references
+        if (profiles and references) or len(known) != len(frames):
+            raise click.UsageError("give a --profile, or else a --reference, for each FRAMES")
+        stated = ThresholdConditions(exposure_s=exposure_s, gain_db=gain_db, led_level=led_level)
+        with progress("slices") as advance:
+            result = calibrate_threshold(
+                [Standard(*pair) for pair in zip(frames, known, strict=True)], rig, out,
+                options=ThresholdOptions(profile_pixel_mm, Settings(voxel, binning, turn), stated),
+                validate=[Standard(*pair) for pair in validate], progress=advance,
+            )  # fmt: skip
         show(result, as_json, lambda: calibration_lines(result, out))

@@ -16,6 +16,7 @@ from vialight.errors import InputError
 from vialight.mesh import Mesh, load_mesh
 from vialight.pipeline import Progress, Scan, Settings, open_scan, reconstruct
 from vialight.store import (
+    FrameFile,
     open_frames,
     read_json,
     staged_folder,
@@ -78,8 +79,8 @@ def reconstruct_recording(
     started = time.monotonic()
     settings = settings or Settings()
     rig = load_rig(rig_path)
-    threshold = _threshold(rig, settings, threshold)
     with staged_folder(out) as folder, open_frames(frames_path) as frames:
+        threshold = _threshold(rig, frames, settings.binning, threshold)
         scan = open_scan(frames, rig, settings)
         volume = reconstruct(scan, settings, progress=progress)
         surface = None if threshold is None else isosurface(volume, threshold)
@@ -156,22 +157,13 @@ def measure_surface(
     return result
 
 
-def _threshold(rig: Rig, settings: Settings, threshold: float | None) -> float | None:
-    if threshold is not None:
-        if not np.isfinite(threshold):
-            raise InputError("--threshold", f"is {threshold}", accepted="a finite density, counts per mm")
-        return threshold
-    conditions = rig.resin.threshold_conditions
-    if (
-        rig.resin.threshold is not None
-        and conditions is not None
-        and conditions.binning not in (None, settings.binning)
-    ):
-        raise InputError(
-            f"{rig.source} [resin]", f"threshold belongs to binning {conditions.binning}, not {settings.binning}",
-            accepted="the same binning", remedy="give --threshold for this binning",
-        )  # fmt: skip
-    return rig.resin.threshold
+def _threshold(rig: Rig, frames: FrameFile, binning: int, given: float | None) -> float | None:
+    """Return the threshold for a recording: as given, or the rig's under the recording's conditions."""
+    if given is None:
+        return rig.threshold_under(rig.imaged_under(frames.settings, binning))
+    if not np.isfinite(given):
+        raise InputError("--threshold", f"is {given}", accepted="a finite density, counts per mm")
+    return given
 
 
 def _settings_json(settings: Settings, scan: Scan, volume: Volume, threshold: float | None) -> dict[str, Any]:

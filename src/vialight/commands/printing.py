@@ -15,7 +15,7 @@ import numpy as np
 from vialight.commands.kept_rehearsals import kept_stop_model
 from vialight.commands.measuring import measure_surface, reconstruct_recording
 from vialight.commands.provenance import inputs_json, versions
-from vialight.config import Rig
+from vialight.config import Rig, ThresholdConditions
 from vialight.devices.opening import RealPrinter, names_devices
 from vialight.devices.simulated import Mishaps, SimulatedPrinter, WorldSettings
 from vialight.errors import InputError, VialightError
@@ -290,13 +290,19 @@ def _as_recorded(rig: Rig, simulated: ResinModel | None, threshold: float | None
     simulated resin, if that is what is printed in: the density at its gel point.
     """
     if threshold is None:
-        if rig.resin.threshold is None and simulated is not None:
-            gelled = np.array([simulated.chemistry.gel_conversion], np.float32)
-            threshold = float(simulated.scattering.density(gelled)[0])
-        else:
-            threshold = rig.need_threshold()
-        threshold *= binning**2
+        threshold = _known_threshold(rig, simulated, binning)
     update = {"threshold": threshold, "threshold_conditions": None}
     return rig.model_copy(
         update={"camera": rig.need_camera().binned(binning), "resin": rig.resin.model_copy(update=update)}
     )
+
+
+def _known_threshold(rig: Rig, simulated: ResinModel | None, binning: int) -> float:
+    if rig.resin.threshold is None and simulated is not None:
+        gelled = np.array([simulated.chemistry.gel_conversion], np.float32)
+        return float(simulated.scattering.density(gelled)[0]) * binning**2
+    if simulated is None:
+        return rig.need_threshold(rig.imaged_under())
+    # The twin's counts are those that the rig was calibrated at, whatever its exposure and gain; its pixels add up.
+    stated = rig.resin.threshold_conditions or ThresholdConditions()
+    return rig.need_threshold() * (binning / (stated.binning or 1)) ** 2

@@ -75,10 +75,10 @@ def watch_run(
     """
     run = Path(run)
     rig = load_rig(run / "rig.toml")
-    threshold = rig.resin.threshold if threshold is None else threshold
     LiveOptions(every_deg=every_deg)
     if threshold is None:
-        raise InputError(f"{run / 'rig.toml'} [resin]", "has no threshold", remedy="give --threshold")
+        with open_frames(run / "frames.h5") as frames:
+            threshold = rig.need_threshold(rig.imaged_under(frames.settings))
     if not (np.isfinite(rate) and 0.01 <= rate <= 100):
         raise InputError("--rate", f"is {rate}", accepted="0.01 to 100")
     with _folder(out) as folder, _mailboxes() as boxes:

@@ -4,6 +4,7 @@ A rig is data: frozen, validated when read, with unknown keys refused.  A comman
 what it does not need may be absent.
 """
 
+from vialight.config.conditions import ThresholdConditions
 from vialight.config.instruments import CameraSettings, ProjectorSettings, StageSettings
 from vialight.config.optics import Optics
 from vialight.config.reading import changed_rig, load_rig, read_toml
@@ -15,7 +16,6 @@ from vialight.config.rig import (
     Rig,
     RunOut,
     Stage,
-    ThresholdConditions,
     Uncertainty,
     Vial,
 )

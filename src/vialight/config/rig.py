@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from vialight.config.conditions import ThresholdConditions
 from vialight.config.fields import Direction, Distance, Finite, Index, Length, NotNegative, Table
 from vialight.config.instruments import CameraSettings, ProjectorSettings, StageSettings
 from vialight.config.optics import Optics
@@ -26,15 +28,6 @@ class Vial(Table):
         return self
 
 
-class ThresholdConditions(Table):
-    """The imaging conditions that a gelation threshold belongs to."""
-
-    exposure_s: Length | None = None
-    gain_db: Finite | None = None
-    led_level: Finite | None = None
-    binning: Annotated[int, Field(ge=1)] | None = None
-
-
 class Resin(Table):
     """The resin: indices at 624 nm (imaging) and 460 nm (writing), absorption at 460 nm (Napierian), threshold I_p.
 
@@ -53,8 +46,9 @@ class Resin(Table):
 class Camera(Table):
     """The camera: pupil distance, pixel pitch in the axis plane, and where axis and optical axis meet the image.
 
-    ``axis_tilt_deg`` is by how much the axis leans to the right in the image, about the optical row; ``driver`` and
-    ``settings`` say how the camera is reached, absent for the twin's.
+    ``axis_tilt_deg`` is by how much the axis leans to the right in the image, about the optical row; ``led_level`` the
+    light that it sees by, in any unit that is proportional to it; ``driver`` and ``settings`` say how the camera is
+    reached, absent for the twin's.
     """
 
     distance_mm: Distance | None = None
@@ -62,6 +56,7 @@ class Camera(Table):
     axis_column: Finite
     optical_row: Finite
     axis_tilt_deg: Finite | None = None
+    led_level: Length | None = None
     driver: Literal["aravis", "harvesters"] | None = None
     settings: CameraSettings | None = None
 
@@ -182,14 +177,44 @@ class Rig(Table):
             )  # fmt: skip
         return self.projector
 
-    def need_threshold(self) -> float:
-        """Return the resin's gelation threshold, or say that it is missing."""
-        if self.resin.threshold is None:
+    def imaged_under(self, recorded: Mapping[str, Any] | None = None, binning: int = 1) -> ThresholdConditions:
+        """Return the conditions of a recording: what itself says, else what the camera is set to.
+
+        Parameters
+        ----------
+        recorded
+            Settings that a recording states.
+        binning
+            Of its pixels, for what is reconstructed.
+        """
+        settings = None if self.camera is None else self.camera.settings
+        known = {"led_level": None if self.camera is None else self.camera.led_level}
+        known |= {} if settings is None else settings.model_dump(include={"exposure_s", "gain_db", "binning"})
+        known |= {key: value for key, value in (recorded or {}).items() if key in ThresholdConditions.model_fields}
+        return ThresholdConditions.model_validate(known | {"binning": (known.get("binning") or 1) * binning})
+
+    def threshold_under(self, actual: ThresholdConditions) -> float | None:
+        """Return the gelation threshold under some conditions; None where the rig has none.
+
+        Raises
+        ------
+        InputError
+            The threshold's conditions are stated, but the actual ones are not known.
+        """
+        conditions = self.resin.threshold_conditions
+        if self.resin.threshold is None or conditions is None:
+            return self.resin.threshold
+        return self.resin.threshold * conditions.factor_to(actual, self.source)
+
+    def need_threshold(self, actual: ThresholdConditions | None = None) -> float:
+        """Return the resin's gelation threshold, under other conditions if told, or say that it is missing."""
+        threshold = self.resin.threshold if actual is None else self.threshold_under(actual)
+        if threshold is None:
             raise InputError(
                 f"{self.source} [resin]", "has no threshold, the density I_p at which it has gelled",
                 accepted="counts per mm", remedy="calibrate it, or give --threshold",
             )  # fmt: skip
-        return self.resin.threshold
+        return threshold
 
     def imaging_optics(self) -> Optics | None:
         """Return what the camera's rays pass through; None for ``geometry = "parallel"``."""

@@ -5,6 +5,7 @@ from vialight.report.calibration_page import write_calibration_page
 from vialight.report.colours import colour_limit_mm, deviation_colours
 from vialight.report.page import Figure, Provenance, write_report
 from vialight.report.plan_page import write_plan_page
+from vialight.report.threshold_figures import heights_png, rim_png, view_from_above_png
 from vialight.report.timelapse import picture_of, write_timelapse
 
 __all__ = [
@@ -12,7 +13,10 @@ __all__ = [
     "Provenance",
     "colour_limit_mm",
     "deviation_colours",
+    "heights_png",
     "picture_of",
+    "rim_png",
+    "view_from_above_png",
     "working_curve_png",
     "write_calibration_page",
     "write_plan_page",

@@ -6,6 +6,7 @@ Importing this is cheap: h5py, hdf5plugin and zarr are imported when a file is o
 from vialight.store.exports import export_mp4, export_png
 from vialight.store.folders import staged_file, staged_folder
 from vialight.store.frames import FrameFile, open_frames
+from vialight.store.heights import read_heights
 from vialight.store.history import (
     HistoryMoment,
     HistoryNumbers,
@@ -49,6 +50,7 @@ __all__ = [
     "list_history",
     "list_surfaces",
     "open_frames",
+    "read_heights",
     "read_history",
     "read_history_numbers",
     "read_json",

@@ -5,6 +5,7 @@ h5py is imported when a file is opened, hdf5plugin when one needs it, so that im
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -81,6 +82,8 @@ class FrameFile:
         (frame,) float64, where recorded.
     is_transmission : bool
         Whether there are white frames, so that the logarithm of the ratio to them is what adds up along a ray.
+    settings : dict
+        What the recording says of how it was taken, such as ``exposure_s`` and ``binning``; empty where nothing.
     is_live : bool
         Whether a writer had the file open.
     """
@@ -105,6 +108,7 @@ class FrameFile:
         self._dark = self._still("data_dark")
         self._white = self._still("data_white")
         self.is_transmission = self._white is not None
+        self.settings = _settings(path, file)
 
     def __enter__(self) -> Self:
         return self
@@ -255,6 +259,14 @@ def _dataset(path: Path, file: Any, name: str) -> Any:
         accepted="the Data Exchange layout: /exchange/data (frame, row, column), /exchange/theta",
         remedy="convert the file",
     )  # fmt: skip
+
+
+def _settings(path: Path, file: Any) -> dict[str, Any]:
+    text = file["process"].attrs.get("settings", "{}") if "process" in file else "{}"
+    try:
+        return dict(json.loads(text))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path} /process", f"settings is {text!r}", accepted="a JSON object") from error
 
 
 def _check_image_data(path: Path, data: Any) -> None:

@@ -50,16 +50,20 @@ def with_values(text: str, changes: Mapping[str, Any]) -> str:
     <BLANKLINE>
     """
     document = tomlkit.parse(text)
-    _change(document, changes)
+    _change(document, changes, inside=False)
     return tomlkit.dumps(document)
 
 
-def _change(table: Container | AbstractTable, changes: Mapping[str, Any]) -> None:
+def _change(table: Container | AbstractTable, changes: Mapping[str, Any], *, inside: bool) -> None:
     for key, value in changes.items():
-        inner = table.get(key)
         if value is None:
             table.pop(key, None)
-        elif isinstance(value, Mapping) and isinstance(inner, Container | AbstractTable):
-            _change(inner, value)
-        else:
+        elif not isinstance(value, Mapping):
             table[key] = value
+        else:
+            is_new = not isinstance(table.get(key), Container | AbstractTable)
+            if is_new:
+                table[key] = tomlkit.table()
+            _change(table[key], value, inside=not is_new)
+            if is_new and inside:
+                table[key].add(tomlkit.nl())  # another table may follow

@@ -92,6 +92,7 @@ def write_calibrated(
                 "how": found.how,
             }
             for found in findings.values
+            if (found.value, _at(before, found.table, found.key)) != (None, None)
         ],
         "notes": list(findings.notes),
         "details": dict(findings.details),
