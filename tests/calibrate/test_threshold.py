@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,8 @@ def test_the_median_density_on_a_turned_and_shifted_surface_is_the_threshold() -
 
 def test_a_surface_of_something_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     as_placed = Registration(np.eye(4), ())  # wherever it is laid, it does not fit; looking for where takes long
-    monkeypatch.setattr("vialight.calibrate.surface_threshold.register", lambda *meshes: as_placed)
+    module = sys.modules["vialight.calibrate.surface_threshold"]  # by attribute, it is the function
+    monkeypatch.setattr(module, "register", lambda *meshes: as_placed)
     volume = Volume(volume_of(standard, COARSE), COARSE)
     with pytest.raises(InputError, match="of its area"):
         surface_threshold(volume, cylinder_mesh(1.5, 6.0), "scan.stl")
