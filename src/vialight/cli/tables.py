@@ -122,3 +122,14 @@ def calibration_lines(result: dict[str, Any], out: Path) -> list[str]:
 def _cell(value: Any, width: int) -> str:
     text = "-" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
     return f"{text:>{width}}"
+
+
+def record_lines(result: dict[str, Any]) -> list[str]:
+    """Say what was recorded."""
+    columns = result["image_shape"][1]
+    return [
+        f"frames          {result['frames']} of {columns} x {result['image_shape'][0]} pixels, "
+        f"{result['frames_missed']} missed, {result['dark_frames']} dark",
+        f"turns           {result['turns']:.3f}" + ("" if result["is_complete"] else ", ended early"),
+        f"written to      {result['file']} in {result['elapsed_s']:.1f} s",
+    ]

@@ -11,13 +11,14 @@ from vialight.printing.light import LightKeeper
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder
 from vialight.printing.session import PrintSettings, Watcher, print_plan, stop_settings
-from vialight.printing.track import StageTrack
+from vialight.printing.track import StageFollower, StageTrack
 
 __all__ = [
     "EventLog",
     "LightKeeper",
     "PrintSettings",
     "Recorder",
+    "StageFollower",
     "StageTrack",
     "Watcher",
     "print_plan",

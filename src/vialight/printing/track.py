@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 
 import numpy as np
 
-from vialight.devices import StagePosition
+from vialight.devices import DeviceError, DeviceTimeoutError, Stage, StagePosition
 
 _KEPT = 400
+_ASK_S, _ANSWER_S = 0.025, 0.2
 _SPEED_OVER_S = 0.12
 """Speed is that of the positions over this time: short enough to see a stall, long enough for an encoder's steps."""
 
@@ -65,3 +67,43 @@ class StageTrack:
     ) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], np.ndarray[tuple[int], np.dtype[np.float64]]]:
         positions = np.array(self._positions, dtype=np.float64).reshape(-1, 2)
         return positions[:, 1], positions[:, 0]
+
+
+class StageFollower:
+    """Asks a stage where it is, on a thread of its own, where no light is at stake.
+
+    Parameters
+    ----------
+    stage
+        Who is asked.
+    track
+        Takes the answers.
+    """
+
+    def __init__(self, stage: Stage, track: StageTrack) -> None:
+        self._stage, self._track = stage, track
+        self._ending = threading.Event()
+        self._answered_s = time.monotonic()
+        self._told = ""
+        self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
+        self._thread.start()
+
+    def fault(self, patience_s: float) -> str | None:
+        """Say what is wrong with the stage, where that has lasted; None while it answers."""
+        return self._told if time.monotonic() - self._answered_s > patience_s else None
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._ending.set()
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        while not self._ending.wait(_ASK_S):
+            try:
+                self._track.add(self._stage.position(_ANSWER_S))
+                self._answered_s = time.monotonic()
+            except DeviceTimeoutError as error:
+                self._told = str(error)
+            except DeviceError as error:
+                self._told, self._answered_s = str(error), float("-inf")
+                return

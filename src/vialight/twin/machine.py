@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -144,6 +145,12 @@ class Twin:
                 self._expose()
             if self.time_s >= step_end - 1e-9:
                 self._cure()
+
+    def harden(self, share: Float32Array) -> None:
+        """Put a part into the vial: (z, y, x) share of each voxel that lies in it, so that its surface is gelled."""
+        conversion = 2 * self.resin.chemistry.gel_conversion * share.transpose(1, 2, 0)
+        self.state = replace(self.state, conversion=np.ascontiguousarray(conversion, np.float32))
+        self._seen_until_s = -1.0
 
     def true_angle_rad(self, time_s: float | None = None) -> float:
         """Return by how much the object has turned, counter-clockwise seen from above; now, or at a time."""

@@ -92,6 +92,10 @@ class SimulatedPrinter:
     ) -> None:
         self.close()
 
+    def put_in(self) -> None:
+        """Put the part that the settings name into the vial, cured."""
+        self._orders.send(("put in",))
+
     def write_truth(self, path: Path) -> dict[str, float] | None:
         """Write what has truly gelled as STL and return its volume and the largest dose; None where that fails."""
         try:

@@ -18,7 +18,10 @@ from vialight.devices.simulated.mishaps import Mishaps
 from vialight.devices.simulated.motion import Segments, angle_at
 from vialight.errors import InputError
 from vialight.links import Mailbox
+from vialight.mesh import load_mesh
+from vialight.plan import Patterns
 from vialight.store import read_plan, write_stl
+from vialight.target import voxelise
 from vialight.twin import Twin, TwinSettings, find_rig, grid_round, load_resin
 
 NEWS_S = 0.015
@@ -32,7 +35,7 @@ class WorldSettings:
     Parameters
     ----------
     plan_path
-        For the patterns and the size of the part.
+        For the patterns and the size of the part; None where nothing is printed.
     rig
         The printer as it is: TOML, or the name of a preset.
     resin
@@ -45,15 +48,18 @@ class WorldSettings:
         What is to go wrong.
     rate
         Seconds of the print in a second of the wall clock, where the machine keeps up.
+    part_path
+        Without a plan: mesh of what is put into the vial, cured, when that is asked for.
     """
 
-    plan_path: Path
+    plan_path: Path | None
     rig: str
     resin: str
     voxel_mm: float = 0.2
     twin: TwinSettings = field(default_factory=TwinSettings)
     mishaps: Mishaps = field(default_factory=Mishaps)
     rate: float = 1.0
+    part_path: Path | None = None
 
     @property
     def full_level(self) -> int:
@@ -77,12 +83,13 @@ def run_world(
 ) -> None:
     """Simulate until told to end, or until the process that prints is gone."""
     os.nice(5)  # the simulation waits for the print, never the other way round
-    plan, resin = read_plan(settings.plan_path), load_resin(settings.resin)
-    rig = find_rig(settings.rig)
+    resin, rig = load_resin(settings.resin), find_rig(settings.rig)
+    plan = None if settings.plan_path is None else read_plan(settings.plan_path)
+    part = plan.reference if plan is not None else load_mesh(settings.part_path or "no part")
     optics = resin.in_vial_of(rig).writing_optics()
     reach = np.inf if optics is None else float(optics.field_radius_mm)
-    twin = _TurnedTwin(rig, resin, grid_round(plan.reference, settings.voxel_mm, reach_mm=reach), settings.twin)
-    world = _World(settings, twin, plan.patterns, folder, frames)
+    twin = _TurnedTwin(rig, resin, grid_round(part, settings.voxel_mm, reach_mm=reach), settings.twin)
+    world = _World(settings, twin, None if plan is None else plan.patterns, folder, frames)
     orders.send(twin.image_shape)
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -91,6 +98,8 @@ def run_world(
             order = orders.recv()
             if order[0] == "frames":
                 world.start_camera(order[1])
+            elif order[0] == "put in":
+                twin.harden(voxelise(part, twin.grid, coverage=True))
             elif order[0] == "truth":
                 orders.send(_write_truth(twin, Path(order[1])))
             else:
@@ -111,11 +120,16 @@ class _World:
     """Steps the twin from one camera frame to the next, behind the clock."""
 
     def __init__(
-        self, settings: WorldSettings, twin: _TurnedTwin, patterns: Any, folder: Path, frames: Connection[Any, Any]
+        self,
+        settings: WorldSettings,
+        twin: _TurnedTwin,
+        patterns: Patterns | None,
+        folder: Path,
+        frames: Connection[Any, Any],
     ) -> None:
         self._twin, self._folder, self._frames, self._mishaps = twin, folder, frames, settings.mishaps
-        self._levels = list(patterns.levels)
-        self._corner = (patterns.first_row, patterns.first_column)
+        self._levels = [] if patterns is None else list(patterns.levels)
+        self._corner = (0, 0) if patterns is None else (patterns.first_row, patterns.first_column)
         self._motion = Mailbox(folder / "motion")
         self._rng = np.random.default_rng(settings.mishaps.seed)
         self._flips_seen = 0
