@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from vialight.config.fields import Finite, Length, NotNegative, Table
 
@@ -48,13 +49,23 @@ class StageSettings(Table):
 
 
 class ProjectorSettings(Table):
-    """A projector that shows a window: on which monitor, and what its light does with levels.
+    """A projector that shows a window: on which monitor (its index or its name), and what its light does with levels.
 
-    ``linearisation`` are pairs of level and measured irradiance (any unit, rising); ``flat_field`` an image (PNG, in
-    the projector's pixels) by which patterns are multiplied, white being 1.
+    ``linearisation`` are pairs of level, from 0 to 255, and measured irradiance (any unit), both rising; ``flat_field``
+    is an image (grey PNG, in the projector's pixels, beside the rig) by which light is multiplied, white being 1.
+    ``latency_s`` goes from the refresh from which on a pattern is shown to its light.
     """
 
     monitor: int | str = 0
     latency_s: NotNegative = 0.0
     linearisation: tuple[tuple[float, float], ...] | None = None
     flat_field: str | None = None
+
+    @field_validator("linearisation")
+    @classmethod
+    def _rises_over_all_levels(cls, pairs: tuple[tuple[float, float], ...] | None) -> object:
+        if pairs is not None:
+            steps = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(pairs)]
+            if not (pairs and pairs[0][0] == 0 and pairs[-1][0] == 255 and all(min(step) > 0 for step in steps)):
+                raise ValueError("levels rising from 0 to 255, each with an irradiance that rises too")
+        return pairs

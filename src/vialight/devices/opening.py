@@ -78,8 +78,9 @@ def open_stage(rig: Rig, clock: Clock) -> Stage:
         It cannot be reached, or its driver is not installed.
     """
     _need_driver(rig, "stage")
-    stage: Stage = import_module("vialight.devices.stages").open_stage(rig.stage, clock)
-    return stage
+    from vialight.devices import stages
+
+    return stages.open_stage(rig.stage, clock)
 
 
 class RealPrinter:
@@ -145,10 +146,10 @@ def _open_projector(
     rig: Rig, clock: Clock, plan_path: Path, angles_rad: FloatArray, folder: Path, log: Path
 ) -> Projector:
     _need_driver(rig, "projector")
-    projector: Projector = import_module("vialight.devices.projectors").open_projector(
-        rig.need_projector(), clock, plan_path, angles_rad, folder, log
-    )
-    return projector
+    from vialight.devices import projectors
+
+    rig_folder = Path(rig.source).parent
+    return projectors.open_projector(rig.need_projector(), clock, plan_path, angles_rad, rig_folder, folder, log)
 
 
 def _driver(rig: Rig, table: str) -> str | None:

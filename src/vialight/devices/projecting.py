@@ -11,6 +11,7 @@ import csv
 import multiprocessing
 import os
 import time
+from dataclasses import dataclass
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Protocol, TextIO
@@ -37,6 +38,10 @@ class Screen(Protocol):
 
     def show(self, pattern: int | None) -> None:
         """Show a pattern, or black, from the next refresh on."""
+        ...
+
+    def tend(self) -> None:
+        """Do what is to be done between refreshes; `DeviceError` where no light can be shown any more."""
         ...
 
     def close(self) -> None:
@@ -67,6 +72,8 @@ class ProjectorProcess:
         For its mailboxes.
     log
         CSV file, made anew, of what was due and what was shown.
+    latency_s
+        From the refresh from which on a pattern is shown to its light.
 
     Raises
     ------
@@ -75,15 +82,16 @@ class ProjectorProcess:
     """
 
     def __init__(
-        self, make_screen: ScreenMaker, clock: Clock, pattern_angles_rad: FloatArray, folder: Path, log: Path
-    ) -> None:
+        self, make_screen: ScreenMaker, clock: Clock, pattern_angles_rad: FloatArray, folder: Path, log: Path,
+        latency_s: float = 0.0,
+    ) -> None:  # fmt: skip
         self._leases = Mailbox(folder / "lease", 1000)
         self._shown_path = folder / "shown"
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         self._process = context.Process(
             target=_run,
-            args=(make_screen, clock, pattern_angles_rad, folder, log, theirs),
+            args=(make_screen, clock, _Due(pattern_angles_rad, latency_s), folder, log, theirs),
             name="projector",
             daemon=True,
         )
@@ -100,6 +108,7 @@ class ProjectorProcess:
             self._process.join(_END_TIMEOUT_S)
             raise DeviceError("projector", fault)
         self._shown = Mailbox(self._shown_path)
+        self._faults, self._fault = ours, ""
 
     @property
     def pid(self) -> int:
@@ -118,7 +127,9 @@ class ProjectorProcess:
     def shown(self) -> Shown:
         """Return what is on the screen now."""
         if not self._process.is_alive():
-            raise DeviceError("projector", f"its process has ended (exit code {self._process.exitcode})")
+            with contextlib.suppress(EOFError, OSError):
+                self._fault = self._fault or (self._faults.recv() if self._faults.poll() else "")
+            raise DeviceError("projector", self._fault or f"its process has ended (exit code {self._process.exitcode})")
         found = self._shown.newest()
         assert found is not None  # put before the process says that it is ready
         shown: Shown = found[1]
@@ -134,7 +145,21 @@ class ProjectorProcess:
             self._process.join()
 
 
-def _run(make_screen: ScreenMaker, clock: Clock, angles_rad: FloatArray, folder: Path, log: Path, parent: Any) -> None:
+@dataclass(frozen=True)
+class _Due:
+    """Which pattern is due."""
+
+    angles_rad: FloatArray
+    latency_s: float
+
+    def at(self, lease: Lease, time_s: float) -> int:
+        """Return the pattern for the angle at which the object will be when the light of a refresh comes."""
+        angle = lease.angle_rad + lease.speed_rad_s * (time_s + self.latency_s - lease.time_s)
+        step = 2 * np.pi / len(self.angles_rad)
+        return int(np.rint((angle - self.angles_rad[0]) / step)) % len(self.angles_rad)
+
+
+def _run(make_screen: ScreenMaker, clock: Clock, due: _Due, folder: Path, log: Path, parent: Any) -> None:
     with contextlib.suppress(OSError):
         os.nice(-10)  # as far as the system lets: light must be right before anything else
     leases = Mailbox(folder / "lease")
@@ -147,15 +172,15 @@ def _run(make_screen: ScreenMaker, clock: Clock, angles_rad: FloatArray, folder:
         try:
             shown.put(Shown(None, clock.now_s()))
             parent.send("")
-            _project(screen, clock, angles_rad, leases, shown, file)
+            _project(screen, clock, due, leases, shown, file)
+        except DeviceError as error:
+            parent.send(str(error).removeprefix("projector: "))
         finally:
             screen.close()
             shown.put(Shown(None, clock.now_s()))
 
 
-def _project(
-    screen: Screen, clock: Clock, angles_rad: FloatArray, leases: Mailbox, shown: Mailbox, file: TextIO
-) -> None:
+def _project(screen: Screen, clock: Clock, due: _Due, leases: Mailbox, shown: Mailbox, file: TextIO) -> None:
     writer = csv.writer(file)
     writer.writerow(["refresh_s", "shown_s", "due", "shown"])
     giver = multiprocessing.parent_process()
@@ -164,6 +189,7 @@ def _project(
     on_screen: int | None = None
     refresh = int(clock.now_s() / period_s)
     while not wait([giver.sentinel], timeout=0):
+        screen.tend()
         lease: Any = (leases.newest() or (0, None))[1]
         if lease == "end":
             return
@@ -173,28 +199,21 @@ def _project(
         if lease is None or time.monotonic() >= lease.until_monotonic_s or now >= lease.off_at_s:
             wanted = None
         elif coming > refresh:
-            wanted = _due(lease, (coming + 0.5) * period_s, angles_rad)
+            wanted = due.at(lease, (coming + 0.5) * period_s)
         if wanted != on_screen:
             screen.show(wanted)
             shown.put(Shown(wanted, clock.now_s()))
         if on_screen is not None or wanted is not None:
             for missed in range(refresh + 1, coming) if lease is not None else ():
-                due = _due(lease, (missed + 0.5) * period_s, angles_rad)
-                writer.writerow([f"{missed * period_s:.4f}", "", due, _code(on_screen)])
+                wanting = due.at(lease, (missed + 0.5) * period_s)
+                writer.writerow([f"{missed * period_s:.4f}", "", wanting, _code(on_screen)])
             if coming > refresh or wanted != on_screen:
-                due = _code(wanted)
-                writer.writerow([f"{coming * period_s:.4f}", f"{clock.now_s():.4f}", due, due])
+                code = _code(wanted)
+                writer.writerow([f"{coming * period_s:.4f}", f"{clock.now_s():.4f}", code, code])
                 file.flush()
         on_screen, refresh = wanted, coming
         # Never longer than a fraction of the lease, even where the print's clock stands still.
         time.sleep(min(max(((refresh + 1) * period_s - clock.now_s()) / clock.rate, 0.0005), 0.02))
-
-
-def _due(lease: Lease, time_s: float, angles_rad: FloatArray) -> int:
-    """Return the pattern for the angle at which the object will be: in the middle of a refresh."""
-    angle = lease.angle_rad + lease.speed_rad_s * (time_s - lease.time_s)
-    step = 2 * np.pi / len(angles_rad)
-    return int(np.rint((angle - angles_rad[0]) / step)) % len(angles_rad)
 
 
 def _code(pattern: int | None) -> int:

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from vialight.devices import LEASE_S, DeviceError, Devices, DeviceTimeoutError, Lease
+from vialight.devices import LEASE_S, DeviceError, Devices, Lease
 from vialight.printing.log import EventLog
 from vialight.printing.track import StageTrack
 
@@ -138,7 +138,7 @@ class LightKeeper:
                 health["stage"] = (
                     f"turns at {math.degrees(abs(speed)):.1f} deg/s instead of {math.degrees(self._speed):.1f}"
                 )
-        except DeviceTimeoutError as error:
+        except DeviceError as error:
             health["stage"] = str(error)
         try:
             self._count_light()

@@ -82,6 +82,9 @@ class DisplayWindow:
         """Show a pattern, or black."""
         self._connection.send(BLACK if pattern is None else pattern)
 
+    def tend(self) -> None:
+        """Do nothing: the connection tells of its end when it is written to."""
+
     def close(self) -> None:
         """Take the window away."""
         self._connection.close()

@@ -1,0 +1,56 @@
+"""Projectors by their drivers: `window` is what there is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vialight.arrays import FloatArray
+from vialight.config import Projector as ProjectorTable
+from vialight.config import ProjectorSettings
+from vialight.devices.projecting import ProjectorProcess
+from vialight.devices.projectors.monitors import Monitor, list_monitors
+from vialight.devices.protocols import Clock
+
+__all__ = ["Monitor", "list_monitors", "open_projector"]
+
+
+def open_projector(
+    table: ProjectorTable,
+    clock: Clock,
+    plan_path: Path,
+    angles_rad: FloatArray,
+    rig_folder: Path,
+    folder: Path,
+    log: Path,
+) -> ProjectorProcess:
+    """Draw the curtain, and open the projector's window over it.
+
+    Parameters
+    ----------
+    table
+        The rig's.
+    clock
+        The print's.
+    plan_path
+        For the patterns.
+    angles_rad
+        (angle,) of the patterns.
+    rig_folder
+        In which paths of the rig begin.
+    folder
+        For mailboxes.
+    log
+        CSV file of what was due and shown.
+
+    Raises
+    ------
+    DeviceError
+        No window can be opened that shows patterns as they are.
+    """
+    from vialight.devices.projectors.curtain import draw_curtain
+    from vialight.devices.projectors.window import WindowMaker
+
+    settings = table.settings or ProjectorSettings()
+    draw_curtain(settings.monitor, (table.columns, table.rows))
+    maker = WindowMaker(table, plan_path, rig_folder)
+    return ProjectorProcess(maker, clock, angles_rad, folder, log, latency_s=settings.latency_s)
