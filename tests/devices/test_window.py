@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from devices.xvfb import COLUMNS, ROWS, Xvfb, needs_xvfb
+from twin.test_print import upright_cylinder
 from vialight.arrays import Grid
 from vialight.config import Projector, ProjectorSettings, Rig
 from vialight.devices import DeviceError, Lease, MonotonicClock, ProjectorProcess
@@ -20,7 +21,6 @@ from vialight.devices.projectors import list_monitors, open_projector
 from vialight.devices.projectors.curtain import draw_curtain
 from vialight.devices.projectors.window import WindowScreen
 from vialight.errors import InputError
-from vialight.mesh import Mesh
 from vialight.plan import Patterns, Plan
 from vialight.store import write_plan
 
@@ -56,7 +56,7 @@ def window() -> Iterator[WindowScreen]:
 @contextlib.contextmanager
 def projector(folder: Path, table: Projector = TABLE) -> Iterator[ProjectorProcess]:
     """The projector in its process, showing a plan of those patterns."""
-    part = Mesh([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    part = upright_cylinder(1.0, 1.0)
     target = np.zeros((2, 4, 4), np.float32)
     patterns = Patterns(PATTERNS, ANGLES, *CORNER, 0.002)
     write_plan(folder / "plan.h5", Plan(patterns, part, target, Grid((2, 4, 4), 0.1), Rig()))

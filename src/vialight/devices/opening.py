@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -63,8 +62,9 @@ def open_camera(rig: Rig, clock: Clock) -> Camera:
         It cannot be reached, or its driver is not installed.
     """
     _need_driver(rig, "camera")
-    camera: Camera = import_module("vialight.devices.cameras").open_camera(rig.need_camera(), clock)
-    return camera
+    from vialight.devices import cameras
+
+    return cameras.open_camera(rig.need_camera(), clock)
 
 
 def open_stage(rig: Rig, clock: Clock) -> Stage:
