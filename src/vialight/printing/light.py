@@ -7,13 +7,15 @@ import threading
 import time
 from collections.abc import Callable
 
-from vialight.devices import LEASE_S, DeviceError, Devices, Lease
+from vialight.devices import LEASE_S, DeviceError, Devices, DeviceTimeoutError, Lease
 from vialight.printing.log import EventLog
 from vialight.printing.track import StageTrack
 
 BEAT_S = 0.025
 """Between renewals, by the wall clock."""
 _STAGE_TIMEOUT_S = 0.08
+_LATE_S = 0.12
+"""By the wall clock: a stage that has not told its position for longer is silent; one late answer is no fault."""
 _DONE_S = 0.01
 """Light that is not worth a last flash."""
 _SLOW_SHARE = 0.5
@@ -62,7 +64,7 @@ class LightKeeper:
         self._is_wanted = False
         self._stop_lit_s = math.inf
         self._counted_until_s = 0.0
-        self._was_lit = False
+        self._was_lit = self._is_late = False
         self._ending = threading.Event()
         self.lit_s = self.lit_rad = 0.0
         self.is_over = False
@@ -115,6 +117,8 @@ class LightKeeper:
         if fault or not self._is_wanted or newest is None:
             self._devices.projector.darken()
             return
+        if self._is_late:
+            return  # the lease, which is not renewed meanwhile, outlasts a late answer
         speed = self._track.speed_rad_s()
         left_s = self._stop_lit_s - self.lit_s
         if left_s <= _DONE_S:
@@ -138,6 +142,12 @@ class LightKeeper:
                 health["stage"] = (
                     f"turns at {math.degrees(abs(speed)):.1f} deg/s instead of {math.degrees(self._speed):.1f}"
                 )
+            self._is_late = False
+        except DeviceTimeoutError as error:
+            self._is_late = True
+            newest, now = self._track.newest(), self._devices.clock.now_s()
+            if newest is None or (now - newest.time_s) / self._devices.clock.rate > _LATE_S:
+                health["stage"] = str(error)
         except DeviceError as error:
             health["stage"] = str(error)
         try:
