@@ -155,6 +155,8 @@ def print_part(
     result = job.write_to(run, settings)
     on_step("starting the printer")
     with job.printer(run) as printer, contextlib.ExitStack() as stack:
+        for told in printer.told:
+            on_step(told)
         if serve:
             on_step(f"open {stack.enter_context(PageProcess(run)).link}")
         watcher = LiveWatcher(job.live_settings(run, printer.folder, settings, model))

@@ -1,6 +1,6 @@
 """Instruments that a rig names, opened by their drivers, and the printer that they make together.
 
-Drivers are imported when they are named: each is an optional part, with a library of its own.
+The libraries of drivers are imported when these are named: each is an optional part.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Self
 
 from vialight.arrays import FloatArray
 from vialight.config import Rig
+from vialight.devices import cameras, projectors, stages
 from vialight.devices.clocks import MonotonicClock
 from vialight.devices.protocols import Camera, Clock, Devices, Projector, Stage
 from vialight.errors import InputError, VialightError
@@ -62,8 +63,6 @@ def open_camera(rig: Rig, clock: Clock) -> Camera:
         It cannot be reached, or its driver is not installed.
     """
     _need_driver(rig, "camera")
-    from vialight.devices import cameras
-
     return cameras.open_camera(rig.need_camera(), clock)
 
 
@@ -78,8 +77,6 @@ def open_stage(rig: Rig, clock: Clock) -> Stage:
         It cannot be reached, or its driver is not installed.
     """
     _need_driver(rig, "stage")
-    from vialight.devices import stages
-
     return stages.open_stage(rig.stage, clock)
 
 
@@ -103,6 +100,8 @@ class RealPrinter:
         To print with.
     folder : Path
         For mailboxes.
+    told : list of str
+        What a person should know before the light goes on.
 
     Raises
     ------
@@ -124,6 +123,7 @@ class RealPrinter:
             projector = _open_projector(rig, clock, plan_path, pattern_angles_rad, self.folder, projector_log)
             opened.callback(_quietly, projector.close)
             self.devices = Devices(clock, camera, stage, projector)
+            self.told = projectors.told_of_projector(rig.need_projector(), Path(rig.source).parent)
             self._opened = opened.pop_all()
 
     def __enter__(self) -> Self:
@@ -146,8 +146,6 @@ def _open_projector(
     rig: Rig, clock: Clock, plan_path: Path, angles_rad: FloatArray, folder: Path, log: Path
 ) -> Projector:
     _need_driver(rig, "projector")
-    from vialight.devices import projectors
-
     rig_folder = Path(rig.source).parent
     return projectors.open_projector(rig.need_projector(), clock, plan_path, angles_rad, rig_folder, folder, log)
 

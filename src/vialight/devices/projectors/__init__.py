@@ -8,10 +8,11 @@ from vialight.arrays import FloatArray
 from vialight.config import Projector as ProjectorTable
 from vialight.config import ProjectorSettings
 from vialight.devices.projecting import ProjectorProcess
+from vialight.devices.projectors.levels import read_flat_field
 from vialight.devices.projectors.monitors import Monitor, list_monitors
 from vialight.devices.protocols import Clock
 
-__all__ = ["Monitor", "list_monitors", "open_projector"]
+__all__ = ["Monitor", "list_monitors", "open_projector", "told_of_projector"]
 
 
 def open_projector(
@@ -54,3 +55,16 @@ def open_projector(
     draw_curtain(settings.monitor, (table.columns, table.rows))
     maker = WindowMaker(table, plan_path, rig_folder)
     return ProjectorProcess(maker, clock, angles_rad, folder, log, latency_s=settings.latency_s)
+
+
+def told_of_projector(table: ProjectorTable, rig_folder: Path) -> list[str]:
+    """Return what a person should know before there is light: what a flat field costs, and that the curtain stays."""
+    told = ["a black curtain stays over the projector's monitor after the print; Escape, typed into it, takes it away"]
+    settings = table.settings or ProjectorSettings()
+    if settings.flat_field is not None:
+        kept = read_flat_field(rig_folder / settings.flat_field, (table.rows, table.columns))
+        told.append(
+            f"the flat field takes {100 * (1 - kept.max()):.0f} to {100 * (1 - kept.min()):.0f} % of the light, "
+            f"{100 * (1 - kept.mean()):.0f} % on average; irradiance_mw_per_cm2 must be what it leaves"
+        )
+    return told

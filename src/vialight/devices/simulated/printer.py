@@ -44,12 +44,16 @@ class SimulatedPrinter:
         To print with.
     processes : dict
         Name to process, for those who want to kill one.
+    told : tuple of str
+        What a person should know before the light goes on: nothing.
 
     Raises
     ------
     DeviceError
         A part of it does not start.
     """
+
+    told: tuple[str, ...] = ()
 
     def __init__(
         self, settings: WorldSettings, pattern_angles_rad: FloatArray, refresh_hz: float, projector_log: Path
