@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from vialight.cli.calibrating import calibrate
-from vialight.cli.instruments import record_command
+from vialight.cli.instruments import devices_command, doctor_command, record_command
 from vialight.cli.printing import print_command, watch_command
 from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
 from vialight.cli.tables import measurement_lines, plan_lines, reconstruction_lines, simulation_lines
@@ -303,4 +303,6 @@ def demo(out: Path, as_json: bool) -> None:
 main.add_command(calibrate)
 main.add_command(print_command)
 main.add_command(watch_command)
+main.add_command(devices_command)
+main.add_command(doctor_command)
 main.add_command(record_command)

@@ -1,4 +1,4 @@
-"""`vialight record`: parsing and wiring only."""
+"""`vialight devices`, `doctor` and `record`: parsing and wiring only."""
 
 from __future__ import annotations
 
@@ -7,11 +7,49 @@ from pathlib import Path
 
 import click
 
-from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
-from vialight.cli.tables import record_lines
+from vialight.cli.running import FAILED, faults_told, progress, show, stopped_by_interrupt
+from vialight.cli.tables import device_lines, doctor_lines, record_lines
 
 _FILE = click.Path(path_type=Path)
 _as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, alone on stdout.")
+
+
+@click.command("devices")
+@_as_json
+def devices_command(as_json: bool) -> None:
+    r"""List the cameras, serial ports and monitors that are found, with the lines of a rig that name them.
+
+    \b
+    Example:
+      vialight devices
+    """
+    with faults_told():
+        from vialight.commands.instruments import find_instruments
+
+        result = find_instruments()
+        show(result, as_json, lambda: device_lines(result))
+
+
+@click.command("doctor")
+@click.argument("rig", type=_FILE)
+@click.option("--rate", type=float, default=10.0, show_default=True, help="Frames a second that are wanted.")
+@_as_json
+def doctor_command(rig: Path, rate: float, as_json: bool) -> None:
+    r"""Check each device that a RIG names, and say what is wrong and what to do; turns the stage, shows no light.
+
+    Exit code 0: all is well; 1: something is not.
+
+    \b
+    Example:
+      vialight doctor rig.toml
+    """
+    with faults_told():
+        from vialight.commands.doctor import check_instruments
+
+        result = check_instruments(rig, frame_rate_hz=rate, on_step=_say)
+        show(result, as_json, lambda: doctor_lines(result))
+        if not result["is_well"]:
+            sys.exit(FAILED)
 
 
 @click.command("record")

@@ -124,6 +124,33 @@ def _cell(value: Any, width: int) -> str:
     return f"{text:>{width}}"
 
 
+def device_lines(result: dict[str, Any]) -> list[str]:
+    """List what is connected, each with the lines that name it in a rig."""
+    named = [
+        ("cameras", [(f"{one['model']}, serial number {one['serial']}, {one['protocol']}", one["rig"])
+                     for one in result["cameras"]]),
+        ("serial ports", [(f"{one['port']}: {one['description']}", one["rig"]) for one in result["serial_ports"]]),
+        ("monitors", [(f"{one['index']}: {one['name']}, {one['columns']} x {one['rows']} at {one['refresh_hz']} Hz",
+                       one["rig"]) for one in result["monitors"]]),
+    ]  # fmt: skip
+    lines = []
+    for title, found in named:
+        lines.append(f"{title}: {len(found) or 'none'}")
+        for told, rig in found:
+            lines += [f"  {told}", *(f"      {line}" for line in rig)]
+    return lines + [f"not looked for: {told}" for told in result["unable"].values()]
+
+
+def doctor_lines(result: dict[str, Any]) -> list[str]:
+    """Say what was found of each device, and what to do."""
+    lines = []
+    for one in result["findings"]:
+        lines.append(f"{one['state']:<6}{one['device']:<10}{one['told']}")
+        if one["remedy"]:
+            lines.append(f"{'':<16}-> {one['remedy']}")
+    return [*lines, "all is well" if result["is_well"] else "something is wrong"]
+
+
 def record_lines(result: dict[str, Any]) -> list[str]:
     """Say what was recorded."""
     columns = result["image_shape"][1]

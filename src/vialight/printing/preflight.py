@@ -49,7 +49,7 @@ def check_exposure(image: NDArray[np.uint16], full_level: int) -> None:
     share = float((image >= _SATURATED * full_level).mean())
     if share > _SATURATED_SHARE:
         raise InputError(
-            "camera", f"{100 * share:.2g} % of the pixels are saturated at {full_level} counts before the print",
+            "camera", f"{100 * share:.3g} % of the pixels are saturated at {full_level} counts before the print",
             accepted=f"less than {100 * _SATURATED_SHARE:g} %", remedy="shorten the exposure or lower gain or light",
         )  # fmt: skip
 
