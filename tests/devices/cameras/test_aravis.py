@@ -22,7 +22,7 @@ from vialight.devices.cameras.aravis import AravisLink
 from vialight.devices.cameras.links import RawFrame
 from vialight.errors import VialightWarning
 
-STREAMED_S = 8.0
+STREAMED_S = 7.0
 SETTINGS = CameraSettings(device=ADDRESS, pixel_format="Mono16", region=(0, 0, 480, 300), exposure_s=0.01)
 
 
@@ -127,10 +127,9 @@ def test_cameras_are_listed_and_one_that_is_not_there_is_told_with_those_that_ar
     assert (one.model, one.serial, one.address) == ("Aravis Fake", "V01", ADDRESS)
     with pytest.raises(DeviceError, match=r"camera 4711: was not found; found: Aravis Fake, serial number V01"):
         open_camera(table(device="4711"), MonotonicClock())
-    for name in ("V01", one.identifier):
-        camera = open_camera(table(device=name), MonotonicClock())
-        assert camera.name == "Aravis Fake V01"
-        camera.close()
+    camera = open_camera(table(device="V01"), MonotonicClock())
+    assert camera.name == "Aravis Fake V01"
+    camera.close()
 
 
 def test_values_that_the_camera_does_not_have_are_told(fake: FakeCamera) -> None:

@@ -8,6 +8,7 @@ from devices.cameras.pretend import standard_features
 from vialight.config import CameraSettings
 from vialight.devices import DeviceError
 from vialight.devices.cameras.features import (
+    Range,
     apply_settings,
     enable_chunks,
     most_counts,
@@ -22,6 +23,12 @@ def test_what_the_rig_leaves_out_stays_but_counts_become_linear_and_steady() -> 
     assert (features.values["Width"], features.values["PixelFormat"]) == (640, "Mono12p")
     assert (features.values["GammaEnable"], features.values["ExposureAuto"]) == (False, "Off")
     assert features.values["TriggerMode"] == "Off"
+
+
+def test_a_gamma_that_cannot_be_switched_off_is_told() -> None:
+    features = standard_features(ExposureAuto="Off", GammaEnable=2)
+    features.ranges["GammaEnable"] = Range(1, 2, 1)
+    assert [str(one) for one in apply_settings(features, CameraSettings())] == ["GammaEnable is 2 instead of 0"]
 
 
 def test_values_that_the_camera_rounds_are_told() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
@@ -81,11 +82,14 @@ def apply_settings(features: Features, settings: CameraSettings) -> list[Rounded
     DeviceError
         The camera lacks a feature, or does not take a value.
     """
-    told: list[Rounded | None] = []
     # Counts must be linear in light, and stay comparable from frame to frame.
-    for name, value in (("GammaEnable", False), ("GammaEnabled", False), ("ExposureAuto", "Off"), ("GainAuto", "Off"),
-                        ("AcquisitionMode", "Continuous"), ("ExposureMode", "Timed")):  # fmt: skip
+    told = [
         _set_if_there(features, name, value)
+        for name, value in (
+            ("GammaEnable", False), ("GammaEnabled", False), ("ExposureAuto", "Off"), ("GainAuto", "Off"),
+            ("AcquisitionMode", "Continuous"), ("ExposureMode", "Timed"),
+        )
+    ]  # fmt: skip
     if settings.pixel_format is not None:
         _choose(features, "PixelFormat", settings.pixel_format)
     if settings.binning is not None:
@@ -169,10 +173,10 @@ def enable_chunks(features: Features) -> list[str]:
     """Ask for timestamp, id and exposure with every frame; return the chunks that the camera sends."""
     if not (features.has("ChunkModeActive") and features.has("ChunkSelector")):
         return []
-    features.set("ChunkModeActive", True)
+    _set_if_there(features, "ChunkModeActive", True)
     offered = [name for name in _CHUNKS if name in features.choices("ChunkSelector")]
     for name in offered:
-        features.set("ChunkSelector", name)
+        _set_if_there(features, "ChunkSelector", name)
         _set_if_there(features, "ChunkEnable", True)
     return [f"Chunk{name}" for name in offered]
 
@@ -245,14 +249,14 @@ def _choose(features: Features, name: str, value: str) -> None:
         raise DeviceError("camera", f"keeps {name} at {features.get(name)} instead of {value}")
 
 
-def _set_if_there(features: Features, name: str, value: Value) -> None:
+def _set_if_there(features: Features, name: str, value: Value) -> Rounded | None:
     """Set a feature that not all cameras have, or let change."""
-    if features.has(name) and (not isinstance(value, str) or value in features.choices(name)):
-        try:
-            features.set(name, value)
-        except DeviceError:
-            if features.get(name) != value:
-                raise
+    if not features.has(name) or (isinstance(value, str) and value not in features.choices(name)):
+        return None
+    with contextlib.suppress(DeviceError):
+        features.set(name, value)
+    has = features.get(name)
+    return None if has == value else Rounded(name, value, has)
 
 
 def _first_of(features: Features, names: Iterable[str], remedy: str = "leave it out of [camera.settings]") -> str:

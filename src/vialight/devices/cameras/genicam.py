@@ -236,6 +236,9 @@ class GenicamCamera:
 
     def _open_again(self) -> Link:
         link = self._open_link()
+        if link.name != self.name:
+            link.close()
+            raise DeviceError(self.name, f"is not there, but {link.name} is")
         try:
             apply_settings(link.features, self._in_force)
         except BaseException:
