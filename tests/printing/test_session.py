@@ -298,3 +298,13 @@ def test_small_disk_is_refused_before_any_light(tmp_path: Path, monkeypatch: pyt
         with pytest.raises(InputError, match=r"may take 1000\.00 GB"):
             quick_print(tmp_path, printer)
         assert read_flips(printer.folder) == []
+
+
+def test_ctrl_c_at_a_terminal_leaves_the_processes_of_a_print_to_it(tmp_path: Path) -> None:
+    with quick_printer(tmp_path) as printer:
+        pids = [printer.projector.pid, *(process.pid for process in printer.processes.values())]
+        for pid in pids:
+            os.kill(pid, signal.SIGINT)
+        time.sleep(0.3)
+        assert printer.devices.projector.shown().pattern is None
+        assert all(process.is_alive() for process in printer.processes.values())

@@ -20,7 +20,7 @@ import numpy as np
 
 from vialight.arrays import FloatArray
 from vialight.devices.protocols import Clock, DeviceError, Lease, Shown
-from vialight.links import Mailbox
+from vialight.links import Mailbox, leave_interrupts_to_the_print
 
 LEASE_S = 0.15
 """For which a lease holds, by the wall clock: with a refresh it is over well within a quarter of a second."""
@@ -160,6 +160,7 @@ class _Due:
 
 
 def _run(make_screen: ScreenMaker, clock: Clock, due: _Due, folder: Path, log: Path, parent: Any) -> None:
+    leave_interrupts_to_the_print()
     with contextlib.suppress(OSError):
         os.nice(-10)  # as far as the system lets: light must be right before anything else
     leases = Mailbox(folder / "lease")

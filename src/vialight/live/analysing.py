@@ -13,7 +13,7 @@ import numpy as np
 
 from vialight.arrays import Volume
 from vialight.errors import InputError
-from vialight.links import Mailbox, SurfaceSnapshot
+from vialight.links import Mailbox, SurfaceSnapshot, leave_interrupts_to_the_print
 from vialight.live.analysis import Measured, mean_gel_times, measure, middle_slices, note_gelled, yardstick
 from vialight.live.following import LiveSettings
 from vialight.live.sharing import Given, SharedVolume
@@ -26,6 +26,7 @@ _START_S = 60.0
 
 def analyse(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
     """Measure whatever volume is given until told to finish, or until the process that prints is gone."""
+    leave_interrupts_to_the_print()
     os.nice(8)
     path = settings.mailboxes / "volume"
     deadline = time.monotonic() + _START_S

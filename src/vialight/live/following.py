@@ -19,7 +19,7 @@ import numpy as np
 from vialight.arrays import TURN_RAD, FloatArray
 from vialight.config import Rig
 from vialight.feedback import StopHistory, StopModel, fresh_history, observe, places, predict, sample
-from vialight.links import CameraImage, Mailbox, Snapshot, StopForecast
+from vialight.links import CameraImage, Mailbox, Snapshot, StopForecast, leave_interrupts_to_the_print
 from vialight.live.analysis import region_of
 from vialight.live.lit_time import LitTime
 from vialight.live.sharing import SharedVolume
@@ -87,6 +87,7 @@ class LiveSettings:
 
 def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
     """Renew the volume with every frame until told to finish, or until the process that prints is gone."""
+    leave_interrupts_to_the_print()
     os.nice(2)
     tail = FrameTail(settings.run / "frames.h5")
     window = SlidingWindow(

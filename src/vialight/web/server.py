@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from vialight.errors import InputError
+from vialight.links import leave_interrupts_to_the_print
 
 if TYPE_CHECKING:
     import uvicorn
@@ -234,8 +235,7 @@ def _bind(host: str, port: int) -> socket.socket:
 
 
 def _serve_beside(root: Path, settings: PageSettings, pipe: Connection[Any, Any]) -> None:
-    # Ctrl-C in a terminal reaches every process there; when the page ends is the print's decision.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_interrupts_to_the_print()
     with contextlib.suppress(OSError):
         os.nice(_NICE)
     try:

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from vialight.devices.clocks import SimulatedClock
 from vialight.devices.protocols import DeviceError
+from vialight.links import leave_interrupts_to_the_print
 
 FLIP = struct.Struct("<ddi")
 """Time on the print's clock, `time.monotonic`, and index of the pattern; -1 is black."""
@@ -37,6 +38,7 @@ class Flip(NamedTuple):
 
 def run_display(folder: Path, ready: Any) -> None:
     """Serve one window after another until the process is ended; every change of light goes into ``flips``."""
+    leave_interrupts_to_the_print()
     clock = SimulatedClock(folder / "clock")
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -17,7 +17,7 @@ from vialight.devices.simulated.display import BLACK, read_flips
 from vialight.devices.simulated.mishaps import Mishaps
 from vialight.devices.simulated.motion import Segments, angle_at
 from vialight.errors import InputError
-from vialight.links import Mailbox
+from vialight.links import Mailbox, leave_interrupts_to_the_print
 from vialight.mesh import load_mesh
 from vialight.plan import Patterns
 from vialight.store import read_plan, write_stl
@@ -82,6 +82,7 @@ def run_world(
     settings: WorldSettings, folder: Path, orders: Connection[Any, Any], frames: Connection[Any, Any]
 ) -> None:
     """Simulate until told to end, or until the process that prints is gone."""
+    leave_interrupts_to_the_print()
     os.nice(5)  # the simulation waits for the print, never the other way round
     resin, rig = load_resin(settings.resin), find_rig(settings.rig)
     plan = None if settings.plan_path is None else read_plan(settings.plan_path)
