@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
+
+from needs import skip_without
 
 FLAGS = (
     # WebGL without a graphics processor; the rest of the page is put together without OpenGL, six times as fast then.
@@ -26,10 +27,7 @@ def chromium(*more_flags: str) -> Iterator[Browser]:
     """Start chromium; without it the test is skipped, but not where CI is to have it."""
     path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if path is None:
-        missing = "chromium is not installed: apt-get install chromium"
-        if os.environ.get("CI"):
-            pytest.fail(missing)
-        pytest.skip(missing)
+        skip_without("chromium is not installed: apt-get install chromium")
     # Chromium's own sandbox needs rights that root in a container does not have.
     flags = [*FLAGS, *more_flags, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
     with sync_playwright() as playwright:
