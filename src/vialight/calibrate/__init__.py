@@ -3,6 +3,7 @@
 from vialight.calibrate.circles import Circle
 from vialight.calibrate.findings import Finding, Findings
 from vialight.calibrate.height_maps import circle_in_heights
+from vialight.calibrate.projector import ProjectorFit, Sweep, fit_projector, line_columns
 from vialight.calibrate.surface_threshold import SurfaceThreshold, surface_threshold
 from vialight.calibrate.threshold import (
     Overhead,
@@ -19,11 +20,15 @@ __all__ = [
     "Finding",
     "Findings",
     "Overhead",
+    "ProjectorFit",
     "RimThreshold",
     "SurfaceThreshold",
+    "Sweep",
     "WorkingCurve",
     "circle_in_heights",
+    "fit_projector",
     "fit_working_curve",
+    "line_columns",
     "overhead",
     "radius_at",
     "rim_threshold",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from vialight.cli.running import faults_told, progress, show
+from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
 from vialight.cli.tables import calibration_lines
 
 _FILE = click.Path(path_type=Path)
@@ -91,4 +91,32 @@ def threshold(
                 options=ThresholdOptions(profile_pixel_mm, Settings(voxel, binning, turn), stated),
                 validate=[Standard(*pair) for pair in validate], progress=advance,
             )  # fmt: skip
+        show(result, as_json, lambda: calibration_lines(result, out))
+
+
+@calibrate.command()
+@click.argument("frames", required=False, type=_FILE)
+@click.option("--resin", default="DUDMA", show_default=True, help="Of the twin: DUDMA, BPAGDA, or TOML.")
+@click.option("--faults", type=_FILE, help="Of the twin: what is wrong with the printer, TOML.")
+@_rig
+@_out
+@_as_json
+def projector(frames: Path | None, resin: str, faults: Path | None, rig: Path, out: Path, as_json: bool) -> None:
+    r"""Find where the projector stands by sweeping a line through the resin and watching it glow.
+
+    On the devices that the rig names, the camera's filter taken off, or else on the digital twin; or from FRAMES, a
+    sweep that was recorded before (NEW.sweep.h5).
+
+    \b
+    Example:
+      vialight calibrate projector --rig rig.toml --out new.toml
+      vialight calibrate projector new.sweep.h5 --rig rig.toml --out newer.toml
+    """
+    with faults_told():
+        from vialight.commands.calibrating import SweepOptions, calibrate_projector
+
+        with progress("lines") as advance, stopped_by_interrupt("light off; ending the sweep") as keep_going:
+            result = calibrate_projector(
+                rig, out, options=SweepOptions(frames, resin, faults), progress=advance, keep_going=keep_going
+            )
         show(result, as_json, lambda: calibration_lines(result, out))

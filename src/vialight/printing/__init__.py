@@ -5,12 +5,14 @@
 - `recorder`: every frame on disk before it counts
 - `preflight`: what is checked before the first light
 - `session`: the order of it all
+- `sweeping`: patterns one after the other, for calibration
 """
 
 from vialight.printing.light import LightKeeper
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder
 from vialight.printing.session import PrintSettings, Watcher, print_plan, stop_settings
+from vialight.printing.sweeping import SweepFrames, record_sweep
 from vialight.printing.track import StageFollower, StageTrack
 
 __all__ = [
@@ -20,7 +22,9 @@ __all__ = [
     "Recorder",
     "StageFollower",
     "StageTrack",
+    "SweepFrames",
     "Watcher",
     "print_plan",
+    "record_sweep",
     "stop_settings",
 ]

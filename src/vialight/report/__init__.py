@@ -1,6 +1,6 @@
 """The report and the pages of plan and calibration: HTML files that hold all, to be read now and in ten years."""
 
-from vialight.report.calibration_figures import working_curve_png
+from vialight.report.calibration_figures import sweep_png, working_curve_png
 from vialight.report.calibration_page import write_calibration_page
 from vialight.report.colours import colour_limit_mm, deviation_colours
 from vialight.report.page import Figure, Provenance, write_report
@@ -16,6 +16,7 @@ __all__ = [
     "heights_png",
     "picture_of",
     "rim_png",
+    "sweep_png",
     "view_from_above_png",
     "working_curve_png",
     "write_calibration_page",
