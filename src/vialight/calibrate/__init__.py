@@ -4,6 +4,7 @@ from vialight.calibrate.circles import Circle
 from vialight.calibrate.findings import Finding, Findings
 from vialight.calibrate.height_maps import circle_in_heights
 from vialight.calibrate.projector import ProjectorFit, Sweep, fit_projector, line_columns
+from vialight.calibrate.resin_index import IndexFit, index_from_cylinders
 from vialight.calibrate.surface_threshold import SurfaceThreshold, surface_threshold
 from vialight.calibrate.threshold import (
     Overhead,
@@ -19,6 +20,7 @@ __all__ = [
     "Circle",
     "Finding",
     "Findings",
+    "IndexFit",
     "Overhead",
     "ProjectorFit",
     "RimThreshold",
@@ -28,6 +30,7 @@ __all__ = [
     "circle_in_heights",
     "fit_projector",
     "fit_working_curve",
+    "index_from_cylinders",
     "line_columns",
     "overhead",
     "radius_at",

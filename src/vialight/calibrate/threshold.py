@@ -59,6 +59,16 @@ class Overhead:
     outside: float
     taper_mm: float
 
+    @property
+    def edge_std_mm(self) -> float:
+        """Standard deviation of the Gaussian by which the edge is soft, from its slope at half the contrast."""
+        step = self.grid.voxel_mm / 2
+        inner, outer = (
+            ring(self, self.circle.x_mm, self.circle.y_mm, self.circle.radius_mm + side * step).mean()
+            for side in (-1, 1)
+        )
+        return _blur_std(self, float(inner - outer) / (2 * step))
+
 
 @dataclass(frozen=True)
 class RimThreshold:

@@ -26,23 +26,40 @@ def calibrate() -> None:
 
 
 @calibrate.command()
-@click.argument("table", type=_FILE)
+@click.argument("table", required=False, type=_FILE)
+@click.option(
+    "--cylinder", "cylinders", multiple=True, nargs=2, type=_FILE, metavar="FRAMES PROFILE",
+    help="Find the index from how large a known cylinder appears; may be repeated.",
+)  # fmt: skip
+@click.option("--profile-pixel-mm", type=float, help="Pitch of the height maps' pixels.")
+@click.option("--voxel", type=float, help="Edge of a voxel, mm. [default: half a pixel]")
 @_rig
 @_out
 @_as_json
-def resin(table: Path, rig: Path, out: Path, as_json: bool) -> None:
-    r"""Find critical exposure and absorption from a TABLE (CSV) of exposures and cured depths.
+def resin(
+    table: Path | None, cylinders: tuple[tuple[Path, Path], ...], profile_pixel_mm: float | None, voxel: float | None,
+    rig: Path, out: Path, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Find critical exposure and absorption from a TABLE (CSV) of exposures and cured depths, or the imaging index.
 
-    Its columns: exposure_mj_per_cm2, at the resin's surface, and depth_mm.
+    The table's columns: exposure_mj_per_cm2, at the resin's surface, and depth_mm.
 
     \b
     Example:
       vialight calibrate resin depths.csv --rig rig.toml --out calibrated.toml
+      vialight calibrate resin --cylinder frames.h5 heights.npy --profile-pixel-mm 0.05 --rig rig.toml --out new.toml
     """
     with faults_told():
-        from vialight.commands.calibrating import calibrate_resin
+        from vialight.commands.calibrating import Standard, StandardOptions, calibrate_resin
+        from vialight.pipeline import Settings
 
-        result = calibrate_resin(table, rig, out)
+        if table is None and not cylinders:
+            raise click.UsageError("give a TABLE, or a --cylinder, or both")
+        with progress("slices") as advance:
+            result = calibrate_resin(
+                table, rig, out, cylinders=[Standard(*pair) for pair in cylinders],
+                options=StandardOptions(profile_pixel_mm, Settings(voxel)), progress=advance,
+            )  # fmt: skip
         show(result, as_json, lambda: calibration_lines(result, out))
 
 
@@ -77,7 +94,7 @@ def threshold(
       vialight calibrate threshold frames.h5 --reference scan.stl --rig rig.toml --out new.toml
     """
     with faults_told():
-        from vialight.commands.calibrating import Standard, ThresholdOptions, calibrate_threshold
+        from vialight.commands.calibrating import Standard, StandardOptions, calibrate_threshold
         from vialight.config import ThresholdConditions
         from vialight.pipeline import Settings
 
@@ -88,7 +105,7 @@ def threshold(
         with progress("slices") as advance:
             result = calibrate_threshold(
                 [Standard(*pair) for pair in zip(frames, known, strict=True)], rig, out,
-                options=ThresholdOptions(profile_pixel_mm, Settings(voxel, binning, turn), stated),
+                options=StandardOptions(profile_pixel_mm, Settings(voxel, binning, turn), stated),
                 validate=[Standard(*pair) for pair in validate], progress=advance,
             )  # fmt: skip
         show(result, as_json, lambda: calibration_lines(result, out))

@@ -2,12 +2,13 @@
 
 from vialight.commands.calibrating.projector import SweepOptions, calibrate_projector
 from vialight.commands.calibrating.resin import calibrate_resin
-from vialight.commands.calibrating.threshold import Standard, ThresholdOptions, calibrate_threshold
+from vialight.commands.calibrating.standards import Standard, StandardOptions
+from vialight.commands.calibrating.threshold import calibrate_threshold
 
 __all__ = [
     "Standard",
+    "StandardOptions",
     "SweepOptions",
-    "ThresholdOptions",
     "calibrate_projector",
     "calibrate_resin",
     "calibrate_threshold",

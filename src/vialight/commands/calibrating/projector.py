@@ -43,11 +43,14 @@ class SweepOptions:
         A recorded sweep.
     resin, faults
         Of the twin: the resin's name or TOML, and what is wrong with the printer, TOML.
+    seed
+        Of the twin's noise.
     """
 
     frames: Path | None = None
     resin: str | Path = "DUDMA"
     faults: Path | None = None
+    seed: int = 0
 
 
 def calibrate_projector(
@@ -159,14 +162,15 @@ def _record(
     if is_real:
         swept = _sweep_devices(rig, patterns, keep_going)
     else:
-        twin = Twin(rig, load_resin(options.resin), Grid((8, 24, 24), 0.3), TwinSettings(faults=wrong.faults))
+        settings = TwinSettings(faults=wrong.faults, seed=options.seed)
+        twin = Twin(rig, load_resin(options.resin), Grid((8, 24, 24), 0.3), settings)
         swept = _sweep_twin(twin, patterns, progress)
         rig = wrong.rig_as_believed(rig)
-    settings = {
+    told = {
         "first_columns": columns.tolist(), "width_columns": width, "line_of_frame": swept.pattern.tolist(),
     }  # fmt: skip
     angles = swept.pattern * (TURN_RAD / len(columns))
-    write_frames(path, swept.counts, angles, dark=swept.dark, settings={"sweep": settings})
+    write_frames(path, swept.counts, angles, dark=swept.dark, settings={"sweep": told})
     return rig
 
 

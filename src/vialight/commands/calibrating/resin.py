@@ -2,33 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vialight.arrays import FloatArray
-from vialight.calibrate import Finding, Findings, WorkingCurve, fit_working_curve
-from vialight.commands.calibrating.writing import check_out, write_calibrated
-from vialight.config import load_rig
+from vialight.calibrate import Finding, Findings, WorkingCurve, fit_working_curve, index_from_cylinders, overhead
+from vialight.commands.calibrating.standards import (
+    Standard,
+    StandardOptions,
+    pixel_std_share,
+    profile_circle,
+    reconstructed,
+)
+from vialight.commands.calibrating.writing import check_out, shown_where_refused, write_calibrated
+from vialight.config import Rig, load_rig
 from vialight.diagnostics import Picture
 from vialight.errors import InputError
+from vialight.pipeline import Progress
 from vialight.store import read_table
 
 EXPOSURE, DEPTH = "exposure_mj_per_cm2", "depth_mm"
 
 
-def calibrate_resin(table_path: str | Path, rig_path: str | Path, out: str | Path) -> dict[str, Any]:
-    """Find critical exposure and absorption from a table of exposures and cured depths.
+def calibrate_resin(
+    table_path: str | Path | None,
+    rig_path: str | Path,
+    out: str | Path,
+    *,
+    cylinders: Sequence[Standard] = (),
+    options: StandardOptions | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Find critical exposure and absorption from cured depths, and the index from how large cylinders appear.
 
     Parameters
     ----------
     table_path
-        CSV with the columns ``exposure_mj_per_cm2`` and ``depth_mm``.
+        CSV with the columns ``exposure_mj_per_cm2`` and ``depth_mm``; None for the index alone.
     rig_path
         The rig to change.
     out
         The new rig.
+    cylinders
+        Recordings of cylinders with their profiles; none for the working curve alone.
+    options
+        How to look at them.
+    progress
+        Called with slices done and to do.
 
     Returns
     -------
@@ -38,12 +62,35 @@ def calibrate_resin(table_path: str | Path, rig_path: str | Path, out: str | Pat
     Raises
     ------
     InputError
-        The table cannot be used, or `out` cannot be written.
+        Table, recordings or profiles cannot be used, or `out` cannot be written.
     """
+    check_out(rig_path, out)
+    rig, found, figures = load_rig(rig_path), [], []
+    if table_path is not None:
+        findings, figure = _working_curve(table_path)
+        found.append(findings)
+        figures.append(figure)
+    if cylinders:
+        found.append(_index(cylinders, rig, options or StandardOptions(), out, progress))
+    if not found:
+        raise InputError("calibrate resin", "has neither depths nor cylinders", accepted="one of them, or both")
+    data = cylinders[0].frames if table_path is None else table_path
+    inputs: dict[str, str | Path] = {f"frames_{k}": one.frames for k, one in enumerate(cylinders, 1)}
+    inputs |= {f"profile_{k}": one.known for k, one in enumerate(cylinders, 1)}
+    return write_calibrated(_together(found), rig_path, data, out, figures=figures, inputs=inputs)
+
+
+def _together(found: Sequence[Findings]) -> Findings:
+    details: dict[str, Any] = {}
+    for one in found:
+        details |= one.details
+    values, notes = [value for one in found for value in one.values], [note for one in found for note in one.notes]
+    return Findings("resin", "; ".join(one.method for one in found), values, notes, details)
+
+
+def _working_curve(table_path: str | Path) -> tuple[Findings, Picture]:
     from vialight.report import working_curve_png
 
-    check_out(rig_path, out)
-    load_rig(rig_path)
     exposure, depth = _read_depths(table_path)
     curve = fit_working_curve(exposure, depth, table_path)
     figure = Picture(
@@ -52,7 +99,40 @@ def calibrate_resin(table_path: str | Path, rig_path: str | Path, out: str | Pat
         "points bend away from it, at high exposures say, leave those out.",
         working_curve_png(curve),
     )  # fmt: skip
-    return write_calibrated(_findings(curve), rig_path, table_path, out, figures=[figure])
+    return _findings(curve), figure
+
+
+def _index(
+    cylinders: Sequence[Standard], rig: Rig, options: StandardOptions, out: str | Path, progress: Progress | None
+) -> Findings:
+    from vialight.report import view_from_above_png
+
+    index = rig.resin.index_imaging
+    if rig.imaging_optics() is None or index is None:
+        raise InputError(
+            rig.source, "has no vial that refracts", accepted="a rig with a vial and [resin] index_imaging"
+        )
+    apparent, true, std, edge = [], [], [], []
+    for one in cylinders:
+        profile, _ = profile_circle(one.known, options, out)
+        volume, _ = reconstructed(one.frames, rig, options, progress)
+        with shown_where_refused(out, partial(view_from_above_png, volume.density.mean(axis=0), volume.grid)):
+            seen = overhead(volume.density, volume.grid, one.frames)
+        apparent.append(seen.circle.radius_mm)
+        true.append(profile.radius_mm)
+        std.append(float(np.hypot(seen.circle.radius_std_mm, profile.radius_std_mm)))
+        edge.append(seen.edge_std_mm)
+    fit = index_from_cylinders(
+        np.array(apparent), np.array(true), np.array(std), max(edge), index, pixel_std_share(rig)
+    )  # fmt: skip
+    notes = [] if len(cylinders) > 1 else [
+        "From one cylinder, the softness of its edge decides how well the index is known: take two of different size."
+    ]  # fmt: skip
+    return Findings(
+        "resin", f"apparent size of {len(cylinders)} known cylinder{'s' if len(cylinders) > 1 else ''}",
+        [Finding("resin", "index_imaging", fit.index, fit.std, "at which they are as large as their profiles say")],
+        notes, {"edge_mm": fit.edge_mm, "apparent_radii_mm": apparent, "profile_radii_mm": true},
+    )  # fmt: skip
 
 
 def _read_depths(path: str | Path) -> tuple[FloatArray, FloatArray]:

@@ -9,64 +9,32 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import Volume
 from vialight.calibrate import (
     Circle,
     Finding,
     Findings,
     RimThreshold,
     SurfaceThreshold,
-    circle_in_heights,
     overhead,
     radius_at,
     rim_threshold,
     surface_threshold,
     weighted_mean,
 )
+from vialight.commands.calibrating.standards import (
+    Standard,
+    StandardOptions,
+    pixel_std_share,
+    profile_circle,
+    reconstructed,
+)
 from vialight.commands.calibrating.writing import check_out, shown_where_refused, write_calibrated
 from vialight.config import Rig, ThresholdConditions, load_rig
 from vialight.diagnostics import Picture
-from vialight.errors import InputError
 from vialight.mesh import load_mesh
-from vialight.pipeline import Progress, Settings, open_scan, reconstruct
-from vialight.store import open_frames, read_heights
+from vialight.pipeline import Progress
 
 MESHES = (".stl", ".ply", ".obj", ".3mf")
-
-
-@dataclass(frozen=True)
-class Standard:
-    """A recording and what the print is known to be.
-
-    Parameters
-    ----------
-    frames
-        Data Exchange HDF5.
-    known
-        A height map of the cylinder's top, or a mesh of the print's surface.
-    """
-
-    frames: Path
-    known: Path
-
-
-@dataclass(frozen=True)
-class ThresholdOptions:
-    """How to calibrate a threshold.
-
-    Parameters
-    ----------
-    profile_pixel_mm
-        Pitch of the height maps' pixels.
-    settings
-        Of the reconstruction.
-    stated
-        Conditions that neither recordings nor rig say.
-    """
-
-    profile_pixel_mm: float | None = None
-    settings: Settings = Settings()  # noqa: RUF009  frozen
-    stated: ThresholdConditions = ThresholdConditions()  # noqa: RUF009  frozen
 
 
 @dataclass(frozen=True)
@@ -84,7 +52,7 @@ def calibrate_threshold(
     rig_path: str | Path,
     out: str | Path,
     *,
-    options: ThresholdOptions | None = None,
+    options: StandardOptions | None = None,
     validate: Sequence[Standard] = (),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -117,7 +85,7 @@ def calibrate_threshold(
         compared, or `out` cannot be written.
     """
     check_out(rig_path, out)
-    options, rig = options or ThresholdOptions(), load_rig(rig_path)
+    options, rig = options or StandardOptions(), load_rig(rig_path)
     found = [_find(standard, rig, options, out, progress) for standard in standards]
     # In the conditions of the first, in which the new rig states it.
     factors = [one.conditions.factor_to(found[0].conditions, str(one.standard.frames)) for one in found]
@@ -137,58 +105,26 @@ def calibrate_threshold(
     return write_calibrated(findings, rig_path, standards[0].frames, out, figures=figures, inputs=inputs)
 
 
-def _find(
-    standard: Standard, rig: Rig, options: ThresholdOptions, out: str | Path, progress: Progress | None
-) -> _Found:
+def _find(standard: Standard, rig: Rig, options: StandardOptions, out: str | Path, progress: Progress | None) -> _Found:
     if standard.known.suffix.lower() in MESHES:
         surface = load_mesh(standard.known)
-        volume, conditions = _seen(standard.frames, rig, options, progress)
+        volume, conditions = reconstructed(standard.frames, rig, options, progress)
         return _Found(standard, surface_threshold(volume, surface, standard.frames), conditions, ())
-    profile, draw_profile = _profile(standard.known, options, out)
+    profile, draw_profile = profile_circle(standard.known, options, out)
     result, conditions = _rim(standard, profile, rig, options, out, progress)
     return _Found(standard, result, conditions, _figures(standard, result, profile, draw_profile))
 
 
-def _profile(path: Path, options: ThresholdOptions, out: str | Path) -> tuple[Circle, Callable[[Circle | None], bytes]]:
-    from vialight.report import heights_png
-
-    pixel_mm = options.profile_pixel_mm
-    if pixel_mm is None or not (np.isfinite(pixel_mm) and pixel_mm > 0):
-        raise InputError(
-            "--profile-pixel-mm", "is not given" if pixel_mm is None else f"is {pixel_mm}",
-            accepted="the pitch of the height map's pixels", remedy="see the profilometer's export",
-        )  # fmt: skip
-    heights = read_heights(path)
-    with shown_where_refused(out, lambda: heights_png(heights, pixel_mm)):
-        circle = circle_in_heights(heights, pixel_mm, path)
-    return circle, lambda found: heights_png(heights, pixel_mm, found)
-
-
 def _rim(
-    standard: Standard, profile: Circle, rig: Rig, options: ThresholdOptions, out: str | Path, progress: Progress | None
+    standard: Standard, profile: Circle, rig: Rig, options: StandardOptions, out: str | Path, progress: Progress | None
 ) -> tuple[RimThreshold, ThresholdConditions]:
     from vialight.report import view_from_above_png
 
-    volume, conditions = _seen(standard.frames, rig, options, progress)
-    std_mm = float(np.hypot(profile.radius_std_mm, profile.radius_mm * _pixel_std(rig)))
+    volume, conditions = reconstructed(standard.frames, rig, options, progress)
+    std_mm = float(np.hypot(profile.radius_std_mm, profile.radius_mm * pixel_std_share(rig)))
     with shown_where_refused(out, lambda: view_from_above_png(volume.density.mean(axis=0), volume.grid)):
         seen = overhead(volume.density, volume.grid, standard.frames)
         return rim_threshold(seen, profile.radius_mm, std_mm, standard.frames), conditions
-
-
-def _seen(
-    frames_path: Path, rig: Rig, options: ThresholdOptions, progress: Progress | None
-) -> tuple[Volume, ThresholdConditions]:
-    with open_frames(frames_path) as frames:
-        volume = reconstruct(open_scan(frames, rig, options.settings), options.settings, progress=progress)
-        recorded = options.stated.model_dump(exclude_none=True) | dict(frames.settings)
-    return volume, rig.imaged_under(recorded, options.settings.binning)
-
-
-def _pixel_std(rig: Rig) -> float:
-    """Return the uncertainty of the camera's pixel, as a share of it: of every length in the volume."""
-    known = rig.uncertainty.camera if rig.uncertainty is not None else None
-    return (known or {}).get("pixel_mm", 0.0) / rig.need_camera().pixel_mm
 
 
 def _figures(
@@ -218,12 +154,12 @@ def _figures(
 
 
 def _validated(
-    standard: Standard, rig: Rig, options: ThresholdOptions, out: str | Path, progress: Progress | None,
+    standard: Standard, rig: Rig, options: StandardOptions, out: str | Path, progress: Progress | None,
     calibrated: tuple[float, float, ThresholdConditions],
 ) -> tuple[str, float, float, float, float]:  # fmt: skip
     """Return name, diameter and its uncertainty by profile, and by OST at the threshold found, mm."""
     threshold, std, conditions = calibrated
-    profile, _ = _profile(standard.known, options, out)
+    profile, _ = profile_circle(standard.known, options, out)
     result, its_own = _rim(standard, profile, rig, options, out, progress)
     factor = conditions.factor_to(its_own, str(standard.frames))
     circle = radius_at(result.overhead, threshold * factor)

@@ -1,0 +1,86 @@
+"""Standards: recordings of prints whose size is known from elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vialight.arrays import Volume
+from vialight.calibrate import Circle, circle_in_heights
+from vialight.commands.calibrating.writing import shown_where_refused
+from vialight.config import Rig, ThresholdConditions
+from vialight.errors import InputError
+from vialight.pipeline import Progress, Settings, open_scan, reconstruct
+from vialight.store import open_frames, read_heights
+
+
+@dataclass(frozen=True)
+class Standard:
+    """A recording and what the print is known to be.
+
+    Parameters
+    ----------
+    frames
+        Data Exchange HDF5.
+    known
+        A height map of the cylinder's top, or a mesh of the print's surface.
+    """
+
+    frames: Path
+    known: Path
+
+
+@dataclass(frozen=True)
+class StandardOptions:
+    """How to look at standards.
+
+    Parameters
+    ----------
+    profile_pixel_mm
+        Pitch of the height maps' pixels.
+    settings
+        Of the reconstruction.
+    stated
+        Conditions that neither recordings nor rig say.
+    """
+
+    profile_pixel_mm: float | None = None
+    settings: Settings = Settings()  # noqa: RUF009  frozen
+    stated: ThresholdConditions = ThresholdConditions()  # noqa: RUF009  frozen
+
+
+def profile_circle(
+    path: Path, options: StandardOptions, out: str | Path
+) -> tuple[Circle, Callable[[Circle | None], bytes]]:
+    """Return the rim in a height map, and what draws both; leave a picture where there is none."""
+    from vialight.report import heights_png
+
+    pixel_mm = options.profile_pixel_mm
+    if pixel_mm is None or not (np.isfinite(pixel_mm) and pixel_mm > 0):
+        raise InputError(
+            "--profile-pixel-mm", "is not given" if pixel_mm is None else f"is {pixel_mm}",
+            accepted="the pitch of the height map's pixels", remedy="see the profilometer's export",
+        )  # fmt: skip
+    heights = read_heights(path)
+    with shown_where_refused(out, lambda: heights_png(heights, pixel_mm)):
+        circle = circle_in_heights(heights, pixel_mm, path)
+    return circle, lambda found: heights_png(heights, pixel_mm, found)
+
+
+def reconstructed(
+    frames_path: Path, rig: Rig, options: StandardOptions, progress: Progress | None
+) -> tuple[Volume, ThresholdConditions]:
+    """Reconstruct a recording; return with it the conditions that it was taken under."""
+    with open_frames(frames_path) as frames:
+        volume = reconstruct(open_scan(frames, rig, options.settings), options.settings, progress=progress)
+        recorded = options.stated.model_dump(exclude_none=True) | dict(frames.settings)
+    return volume, rig.imaged_under(recorded, options.settings.binning)
+
+
+def pixel_std_share(rig: Rig) -> float:
+    """Return the uncertainty of the camera's pixel, as a share of it: of every length in the volume."""
+    known = rig.uncertainty.camera if rig.uncertainty is not None else None
+    return (known or {}).get("pixel_mm", 0.0) / rig.need_camera().pixel_mm
