@@ -116,7 +116,18 @@ def calibration_lines(result: dict[str, Any], out: Path) -> list[str]:
         values = [found["before"], found["value"], found["uncertainty"]]
         cells = [_cell(value, width) for value, width in zip(values, (14, 14, 12), strict=True)]
         lines.append(f"{'[' + found['table'] + '] ' + found['key']:<44}{''.join(cells)}".rstrip())
-    return [*lines, *result["notes"], f"new rig: {out}", f"page: {out.with_suffix('.html')}"]
+    for table in result["tables"]:
+        lines += ["", *_aligned([[table["title"], *table["heads"][1:]], *table["rows"]])]
+    return [*lines, "", *result["notes"], f"new rig: {out}", f"page: {out.with_suffix('.html')}"]
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    """Return rows with their columns one below the other, the first to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(f"{cell:<{widths[0]}}" if k == 0 else f"{cell:>{widths[k]}}" for k, cell in enumerate(row)).rstrip()
+        for row in rows
+    ]
 
 
 def _cell(value: Any, width: int) -> str:

@@ -94,6 +94,10 @@ def write_calibrated(
             for found in findings.values
             if (found.value, _at(before, found.table, found.key)) != (None, None)
         ],
+        "tables": [
+            {"title": title, "heads": list(heads), "rows": [list(row) for row in rows]}
+            for title, heads, rows in findings.tables
+        ],
         "notes": list(findings.notes),
         "details": dict(findings.details),
         "inputs": inputs_json(data=data_path, rig=rig_path, **(inputs or {})),
@@ -107,6 +111,7 @@ def write_calibrated(
         write_calibration_page(
             folder / f"{out.stem}.html", findings, result["found"], figures=figures, provenance=provenance, rig=text
         )
+    refused_picture(out).unlink(missing_ok=True)  # of an earlier attempt
     return result
 
 
@@ -124,11 +129,16 @@ def shown_where_refused(out: str | Path, picture: Callable[[], bytes]) -> Iterat
     try:
         yield
     except InputError as error:
-        path = Path(out).with_suffix(".refused.png")
+        path = refused_picture(out)
         with staged_file(path) as staging:
             staging.write_bytes(picture())
         error.args = (f"{error}; see {path}",)
         raise
+
+
+def refused_picture(out: str | Path) -> Path:
+    """Return where the picture of what was refused goes."""
+    return Path(out).with_suffix(".refused.png")
 
 
 def _changes(findings: Findings, data_path: str | Path) -> dict[str, Any]:
