@@ -137,3 +137,28 @@ def projector(frames: Path | None, resin: str, faults: Path | None, rig: Path, o
                 rig, out, options=SweepOptions(frames, resin, faults), progress=advance, keep_going=keep_going
             )
         show(result, as_json, lambda: calibration_lines(result, out))
+
+
+@calibrate.command()
+@click.argument("first", type=_FILE)
+@click.argument("second", type=_FILE)
+@click.option("--flash", is_flag=True, help="Flash the rig's projector, and see it with its camera.")
+@_rig
+@_out
+@_as_json
+def latency(first: Path, second: Path, flash: bool, rig: Path, out: Path, as_json: bool) -> None:
+    r"""Find the delays of camera and projector from two recordings of one thing, FIRST and SECOND.
+
+    They are taken with `vialight record`, at two speeds.
+
+    \b
+    Example:
+      vialight calibrate latency fast.h5 slow.h5 --flash --rig rig.toml --out new.toml
+    """
+    with faults_told():
+        from vialight.commands.calibrating import calibrate_latency
+
+        result = calibrate_latency(
+            first, second, rig, out, flash=flash, on_step=lambda message: click.echo(message, err=True)
+        )
+        show(result, as_json, lambda: calibration_lines(result, out))

@@ -1,5 +1,6 @@
 """Calibrate: each command finds values of the rig and writes a new one, with a page that shows whether it is right."""
 
+from vialight.commands.calibrating.latency import calibrate_latency
 from vialight.commands.calibrating.projector import SweepOptions, calibrate_projector
 from vialight.commands.calibrating.resin import calibrate_resin
 from vialight.commands.calibrating.standards import Standard, StandardOptions
@@ -9,6 +10,7 @@ __all__ = [
     "Standard",
     "StandardOptions",
     "SweepOptions",
+    "calibrate_latency",
     "calibrate_projector",
     "calibrate_resin",
     "calibrate_threshold",

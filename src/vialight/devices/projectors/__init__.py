@@ -18,7 +18,7 @@ __all__ = ["Monitor", "list_monitors", "open_projector", "told_of_projector"]
 def open_projector(
     table: ProjectorTable,
     clock: Clock,
-    plan_path: Path,
+    plan_path: Path | None,
     angles_rad: FloatArray,
     rig_folder: Path,
     folder: Path,
@@ -33,7 +33,7 @@ def open_projector(
     clock
         The print's.
     plan_path
-        For the patterns.
+        For the patterns; without, there is one, and it is white.
     angles_rad
         (angle,) of the patterns.
     rig_folder

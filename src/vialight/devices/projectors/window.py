@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vialight.config import Projector as ProjectorTable
 from vialight.config import ProjectorSettings
-from vialight.devices.projectors.levels import light_of_levels, read_flat_field, sent_levels
+from vialight.devices.projectors.levels import FULL, light_of_levels, read_flat_field, sent_levels
 from vialight.devices.projectors.monitors import full_screen_window, start_glfw
 from vialight.devices.protocols import DeviceError
 from vialight.errors import InputError
@@ -168,18 +168,20 @@ class WindowMaker:
     table
         The rig's.
     plan_path
-        For the patterns.
+        For the patterns; without, there is one, and it is white.
     folder
         In which paths of the rig begin.
     """
 
     table: ProjectorTable
-    plan_path: Path
+    plan_path: Path | None
     folder: Path
 
     def __call__(self) -> WindowScreen:
         """Return a screen that is black."""
         settings, size = self.table.settings or ProjectorSettings(), (self.table.columns, self.table.rows)
+        if self.plan_path is None:
+            return WindowScreen(settings.monitor, size, np.full((1, *size[::-1]), FULL, np.uint8), (0, 0))
         patterns = read_plan(self.plan_path).patterns
         corner = (patterns.first_row, patterns.first_column)
         _check_room(size, patterns.levels.shape[1:], corner)
