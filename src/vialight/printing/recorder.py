@@ -70,10 +70,12 @@ class Recorder:
         self._writer: FrameWriter | None = None
         self._writer_lock = threading.Lock()
         self._delays: deque[float] = deque(maxlen=_NEWEST)
+        self._believed: tuple[int, float] | None = None
         self._seen: set[int] = set()
         self._highest = -1
         self._ending = threading.Event()
         self._arrived_s: float | None = None
+        self._silence = ""
         self._fault: str | None = None
         self._disk_told: str | None = None
         self._is_slow = False
@@ -137,13 +139,15 @@ class Recorder:
         while not self._ending.is_set():
             try:
                 frame = self._camera.next_frame(_POLL_S)
-            except DeviceTimeoutError:
+            except DeviceTimeoutError as error:
+                self._note_silence(str(error))
                 continue
             except DeviceError as error:
                 self._fault = str(error)
                 self._log.note("fault", str(error))
                 return
             self._arrived_s, arrived = self._clock.now_s(), time.monotonic()
+            self._silence = ""
             if frame.number in self._seen:
                 self._log.note("frame", number=frame.number, odd="came twice")
                 continue
@@ -154,16 +158,34 @@ class Recorder:
             except queue.Full:
                 self._log.note("fault", "frames are lost: the disk is too slow", number=frame.number)
 
+    def _note_silence(self, told: str) -> None:
+        """Note, once, what a camera says of frames that should have come."""
+        if self._arrived_s is not None and told != self._silence and self.camera_fault():
+            self._silence = told
+            self._log.note("camera", odd=told)
+
     def _believable(self, frame: CameraFrame) -> float:
-        """Return the time of a frame; where its stamp has jumped, that of its arrival less the usual delay."""
+        """Return the time of a frame; where its stamp has jumped, that of its arrival less the usual delay.
+
+        A frame that was held up comes late, but its time still fits its number.
+        """
         assert self._arrived_s is not None
         delay = self._arrived_s - frame.time_s
         usual = statistics.median(self._delays) if self._delays else delay
-        if abs(delay - usual) > _JUMP_S and self._arrived_s - frame.time_s != usual:
+        time_s = frame.time_s
+        if abs(delay - usual) > _JUMP_S and not self._fits_its_number(frame):
             self._log.note("frame", number=frame.number, odd=f"its time is off by {usual - delay:.3f} s")
-            return self._arrived_s - usual
-        self._delays.append(delay)
-        return frame.time_s
+            time_s = self._arrived_s - usual
+        else:
+            self._delays.append(delay)
+        self._believed = (frame.number, time_s)
+        return time_s
+
+    def _fits_its_number(self, frame: CameraFrame) -> bool:
+        if self._believed is None:
+            return True
+        number, time_s = self._believed
+        return abs(time_s + (frame.number - number) * self._period_s - frame.time_s) <= _JUMP_S
 
     def _write(self) -> None:
         while not (self._ending.is_set() and self._queue.empty()):
