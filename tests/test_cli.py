@@ -130,6 +130,7 @@ def bad_inputs(tmp_path: Path) -> dict[str, tuple[list[object], str]]:
         "axis outside": ([good_frames, "--rig", rig("= 86.7", "= 186.7", "a")], "186.7 lies outside the image"),
         "vial too wide": ([good_frames, "--rig", rig("= 12.4", "= 14.5", "w")], "the vial spans columns"),
         "empty surface": ([good_frames, "--rig", good_rig, "--threshold", 1e6], "no surface at 1e+06"),
+        "negative threshold": ([good_frames, "--rig", good_rig, "--threshold", -5], "accepted: a positive density"),
         "NaN threshold": ([good_frames, "--rig", good_rig, "--threshold", "nan"], "--threshold: is nan"),
         "no such turn": ([good_frames, "--rig", good_rig, "--turn", 2], "--turn: is 2"),
         "no voxel": ([good_frames, "--rig", good_rig, "--voxel", 0], "--voxel: is 0"),

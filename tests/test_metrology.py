@@ -377,3 +377,9 @@ def test_a_tolerance_that_is_no_length_is_refused(tolerance_mm: float) -> None:
 def test_an_unknown_alignment_is_refused() -> None:
     with pytest.raises(InputError, match="rigid, none"):
         compare(PART, PART, align="scaled")  # type: ignore[arg-type]
+
+
+def test_a_reference_in_another_unit_is_doubted_but_measured() -> None:
+    in_um = Mesh(1000 * PART.vertices_mm, PART.faces)
+    with pytest.warns(VialightWarning, match="the reference is 1e[+]03 times as large as the print: are both in mm?"):
+        compare(PART, in_um, align="none")

@@ -141,7 +141,7 @@ def load_mesh(path: str | Path) -> Mesh:
         The file is missing, no mesh, empty, cut short, or holds coordinates that are not finite.
     """
     path = Path(path)
-    if path.suffix.lower() not in MESH_SUFFIXES:
+    if path.suffix.lower() not in MESH_SUFFIXES and (path.suffix or path.exists()):
         raise InputError(
             path, f"is not a kind of mesh file that can be read ({path.suffix or 'no suffix'})",
             accepted=", ".join(MESH_SUFFIXES), remedy="convert it",

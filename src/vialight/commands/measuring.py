@@ -161,8 +161,8 @@ def _threshold(rig: Rig, frames: FrameFile, binning: int, given: float | None) -
     """Return the threshold for a recording: as given, or the rig's under the recording's conditions."""
     if given is None:
         return rig.threshold_under(rig.imaged_under(frames.settings, binning))
-    if not np.isfinite(given):
-        raise InputError("--threshold", f"is {given}", accepted="a finite density, counts per mm")
+    if not 0 < given < np.inf:
+        raise InputError("--threshold", f"is {given}", accepted="a positive density, counts per mm")
     return given
 
 

@@ -103,6 +103,8 @@ def _explain(path: str, error: ValidationError) -> InputError:
         return InputError(
             where, f"{key} is {fault['input']!r}", accepted=f"a table of {_keys(_table_at([*tables, key]))}"
         )
+    if fault["type"] == "value_error":  # found by a validator of a whole table, in its own words
+        return InputError(f"{where} [{key}]", fault["msg"].removeprefix("Value error, "), remedy="correct one of them")
     return InputError(
         where, f"{key} is {fault['input']!r}", accepted=fault["msg"].removeprefix("Input should be "),
         remedy="correct it",

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from vialight.arrays import FloatArray
-from vialight.errors import InputError
+from vialight.errors import InputError, VialightWarning
 from vialight.mesh import Mesh
 from vialight.metrology.cylinders import Cylinder, measure_cylinders
 from vialight.metrology.distance import Deviation, Samples, deviation, sample_surface, warn_unsigned
 from vialight.metrology.overlap import intersection_over_union
 from vialight.metrology.registration import Registration, register
+
+_OTHER_UNIT = 5.0
+"""How many times as large a print has to be as its reference, or as small, for a unit to be doubted."""
 
 REQUIRED_SHARE = 0.999
 """Of the area, in each direction, that has to lie within the tolerance."""
@@ -210,7 +214,7 @@ def compare(
     -----
     VialightWarning
         A mesh is not closed, so that what needs an inside is None; see `distance.signed_distance` for why this is not
-        an error.
+        an error.  Or the meshes differ so much in size that they may be in different units.
 
     Examples
     --------
@@ -229,6 +233,11 @@ def compare(
     for name, mesh in (("the reference", reference), ("the print", measured)):
         if not mesh.is_closed:
             warn_unsigned(name, mesh)
+    larger = np.ptp(reference.vertices_mm, axis=0).max() / np.ptp(measured.vertices_mm, axis=0).max()
+    if not 1 / _OTHER_UNIT < larger < _OTHER_UNIT:
+        warnings.warn(
+            f"the reference is {larger:.3g} times as large as the print: are both in mm?", VialightWarning, stacklevel=2
+        )
 
     as_placed, per_vertex = _agreement(measured, reference)
     registration, aligned, moved = None, None, measured
