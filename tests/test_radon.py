@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from vialight.arrays import Float32Array, FloatArray, centred
 from vialight.errors import InputError
-from vialight.radon import FilterName, backproject, backproject_tilted, ramp_filter
+from vialight.radon import FilterName, backproject, backproject_tilted, filter_rays, ramp_filter
 
 FILTERS: tuple[FilterName, ...] = get_args(FilterName)
 
@@ -62,6 +62,13 @@ def test_filter_stops_what_is_constant_but_for_what_its_tail_does_not_reach(name
     assert leak == pytest.approx(1 / (np.pi**2 * half), rel=0.01)
 
 
+@pytest.mark.parametrize("samples", [2, 3, 24, 25])
+def test_filtering_by_halves_is_the_product_with_the_matrix(samples: int) -> None:
+    matrix = ramp_filter("hann", samples, 0.3)
+    rays = np.random.default_rng(6).normal(size=(3, samples, 5)).astype(np.float32)
+    np.testing.assert_allclose(filter_rays(matrix, rays), matrix @ rays, rtol=0, atol=1e-5)
+
+
 def test_unknown_filter_is_refused_with_the_choices() -> None:
     with pytest.raises(InputError, match="accepted: ram-lak, shepp-logan, cosine, hann"):
         ramp_filter("ramp", 4, 1.0)  # type: ignore[arg-type]
@@ -76,6 +83,25 @@ def test_backprojection_equals_interpolating_view_by_view(angles: int, samples: 
     y, x = centred(shape[0], 0.2), centred(shape[1], 0.2) + 0.05  # wider than the samples: zero counts outside
     found = backproject(filtered, psi, s[0], 0.3, x, y)
     np.testing.assert_allclose(found, naive_backprojection(filtered, psi, s, x, y), rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("depth", [1, 16, 17, 64, 70])
+def test_slices_are_backprojected_apart_from_each_other_in_any_number(depth: int) -> None:
+    rng = np.random.default_rng(5)
+    filtered, psi, pixels = rng.normal(size=(6, 11, depth)).astype(np.float32), rng.uniform(0, 7, 6), centred(20, 0.2)
+    found = backproject(filtered, psi, -1.5, 0.3, pixels, pixels)
+    expected = naive_backprojection(filtered, psi, centred(11, 0.3), pixels, pixels)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5)
+
+
+def test_pixels_within_the_radius_are_as_without_it_and_those_far_beyond_are_zero() -> None:
+    filtered, psi, pixels = np.ones((6, 400, 2), np.float32), np.linspace(0, 3, 6), centred(150, 1.0)
+    whole = backproject(filtered, psi, -200.0, 1.0, pixels, pixels)
+    found = backproject(filtered, psi, -200.0, 1.0, pixels, pixels, radius_mm=50.0)
+    from_axis = np.hypot(pixels, pixels[:, None])
+    np.testing.assert_array_equal(found[from_axis <= 50], whole[from_axis <= 50])
+    assert np.isin(found, [0, *np.unique(whole)]).all()
+    assert (found[from_axis > 100] == 0).all()
 
 
 def test_backprojection_reads_the_very_ends_of_its_samples() -> None:
