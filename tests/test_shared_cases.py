@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from soft_parts import frames_of_part
+from soft_parts import Field, frames_of_part
 from vialight.arrays import FloatArray, Grid, IntArray, Volume
 from vialight.config import Camera, Resin, Rig, Vial, load_rig
 from vialight.mesh import Mesh, load_mesh
@@ -71,11 +71,8 @@ def test_the_surface_is_true_to_12_um(
 ) -> None:
     """RMS in um, of all frames, of 90 %, with a gap.
 
-    part: default 10.1, 11.0, 10.5, accurate 10.1, 10.9, 10.4; cylinder: default 8.5, 9.1, 8.8, accurate 9.3, 9.8, 9.6.
-    Half of it is noise, most of the rest the soft rims.  On a body of revolution about the axis, `accurate` rounds the
-    rims a little more: rays that pass a plate at height z miss the part of its spectrum that is steeper than they are,
-    so that nothing measured tells it; without following the rays, it is filled with what was seen beside it, displaced
-    by nothing where the body is on the axis.
+    part: default 10.1, 11.0, 10.5, accurate 9.9; cylinder: default 8.5, 9.1, 8.8, accurate 8.6.  Half of it is noise,
+    most of the rest the soft rims.
     """
     folder = shared_cases / case
     surface = measured_surface(folder, kept, tmp_path, Settings(accurate=accurate))
@@ -96,14 +93,24 @@ def _cylinder(beside: Any, beyond: Any) -> Any:
     return np.minimum(np.maximum(beside, beyond), 0) + np.hypot(np.maximum(beside, 0), np.maximum(beyond, 0))
 
 
-def test_accurate_is_truer_on_a_tall_part(tmp_path: Path) -> None:
-    """RMS in um at D = 145 mm: default 13.5, accurate 9.0; beyond 7 mm of height 28.0 and 13.7.
+def plates(x: Any, y: Any, z: Any) -> Any:
+    """Signed distance to two plates of 12.4 mm about the axis, 16 mm apart, on a shaft."""
+    from_axis, height = np.hypot(x, y), np.abs(z)
+    return np.minimum(_cylinder(from_axis - 6.2, np.abs(height - 8.0) - 0.6), _cylinder(from_axis - 2.0, height - 8.0))
 
-    Without noise and in voxels of half a pixel: 11.9 and 6.3, and 26.9 and 11.1.
 
-    Off the axis, an end face is seen up to 0.2 mm higher from one side than from the other.  (A part with plates of
-    6.2 mm radius about the axis near its ends, where both sides see the same, gains little or nothing: without noise
-    9.7 and 9.3, at D = 190 mm 8.1 and 8.3.)
+@pytest.mark.parametrize(
+    ("part", "symmetry", "most_of_default", "most_of_default_at_ends"),
+    [pytest.param(tall_part, 4, 0.75, 0.55, id="posts off axis"), pytest.param(plates, 180, 1.0, 1.0, id="about it")],
+)
+def test_accurate_is_truer_on_tall_parts(
+    part: Field, symmetry: int, most_of_default: float, most_of_default_at_ends: float, tmp_path: Path
+) -> None:
+    """RMS in um at D = 145 mm, of all and beyond 7 mm of height, with noise.
+
+    Posts off the axis: default 13.5 and 28.0, accurate 9.1 and 14.2; an end face is seen up to 0.2 mm higher from one
+    side than from the other.  Plates about it: default 12.4 and 13.8, accurate 11.0 and 12.3; both sides see the same,
+    and rims are lost if what no ray measures is left out, which made accurate worse than default.
     """
     rig = Rig(
         vial=Vial(outer_radius_mm=12.4, wall_mm=1.1, wall_index=1.472),
@@ -111,19 +118,19 @@ def test_accurate_is_truer_on_a_tall_part(tmp_path: Path) -> None:
         camera=Camera(distance_mm=145.0, pixel_mm=0.155, axis_column=87.3, optical_row=74.5),
     )
     angles = np.arange(180, dtype=np.float64) * (2 * np.pi / 180)
-    # The part looks the same after every quarter of a turn.
-    quarter = frames_of_part(tall_part, Grid((380, 244, 244), 0.05), rig, (150, 176), angles[:45])
-    counts = Sensor().photograph(np.concatenate([quarter] * 4), np.random.default_rng(0))
+    # The part looks the same again after so many frames.
+    seen = frames_of_part(part, Grid((380, 254, 254), 0.05), rig, (150, 176), angles[: 180 // symmetry])
+    counts = Sensor().photograph(np.concatenate([seen] * symmetry), np.random.default_rng(0))
     write_frames(tmp_path / "frames.h5", counts, angles)
     rms, rms_of_ends = [], []
     for settings in (Settings(voxel_mm=0.1), Settings(voxel_mm=0.1, accurate=True)):
         with open_frames(tmp_path / "frames.h5") as frames:
             surface = isosurface(reconstruct(open_scan(frames, rig, settings), settings), THRESHOLD)
         samples = sample_surface(surface, 50_000)
-        distance, area = tall_part(*samples.points_mm.T), samples.weights_mm2
+        distance, area = part(*samples.points_mm.T), samples.weights_mm2
         ends = np.abs(samples.points_mm[:, 2]) > 7
         rms.append(np.sqrt(np.average(distance**2, weights=area)))
         rms_of_ends.append(np.sqrt(np.average(distance[ends] ** 2, weights=area[ends])))
-    assert rms[1] < 0.010
-    assert rms[1] < 0.75 * rms[0]
-    assert rms_of_ends[1] < 0.55 * rms_of_ends[0]
+    assert rms[1] < 0.012
+    assert rms[1] < most_of_default * rms[0]
+    assert rms_of_ends[1] < most_of_default_at_ends * rms_of_ends[0]

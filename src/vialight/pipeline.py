@@ -22,10 +22,11 @@ from vialight.sinogram import (
     resample,
     rows_seen,
     select_turn,
+    warn_of_unseen_rays,
 )
 from vialight.store import FrameFile
 from vialight.viewing import heights_seen, ray_tilt
-from vialight.volume import DEFAULT_FILTER, reconstruct_slices, reconstruct_tilted
+from vialight.volume import DEFAULT_FILTER, reconstruct_climbing, reconstruct_slices
 
 Progress = Callable[[int, int], None]
 """Called with what is done and what there is to do."""
@@ -129,6 +130,11 @@ def open_scan(frames: FrameFile, rig: Rig, settings: Settings) -> Scan:
     ------
     InputError
         The recording has no such turn, or the rig lacks what imaging needs.
+
+    Warns
+    -----
+    VialightWarning
+        Parallel rays of half a turn leave some of the image's width out.
     """
     camera = rig.need_camera().binned(settings.binning)
     _, rows, columns = frames.shape
@@ -139,7 +145,10 @@ def open_scan(frames: FrameFile, rig: Rig, settings: Settings) -> Scan:
         )
     angles = rig.stage.direction * frames.angles_rad
     chosen = select_turn(angles, settings.turn)
-    return Scan(frames, chosen, angles[chosen], camera, rig.imaging_optics(), settings.binning, shape)
+    optics = rig.imaging_optics()
+    if optics is None:
+        warn_of_unseen_rays(angles[chosen], shape[1], camera)
+    return Scan(frames, chosen, angles[chosen], camera, optics, settings.binning, shape)
 
 
 def grid_for(scan: Scan, beam: ParallelBeam, voxel_mm: float | None) -> Grid:
@@ -233,25 +242,26 @@ def _reconstruct_block(
     read: RowReader,
     density: Float32Array,
 ) -> None:
-    heights, tilt = z_mm, None
+    heights, tilt, radius = z_mm, None, field_radius_mm(beam, scan.optics)
     if settings.accurate and scan.optics is not None:
         tilt = ray_tilt(beam.virtual_x_mm, scan.optics)
-        heights = _heights_of_climbing_rays(z_mm, grid.voxel_mm, float(tilt.max()) * scan.optics.field_radius_mm)
+        heights = _heights_of_climbing_rays(z_mm, grid.voxel_mm, float(tilt.max()) * radius)
     rows = rows_seen(heights, scan.shape[0], scan.camera, scan.optics)
     sinogram = resample(read(rows), rows.start, scan.angles_rad, scan.camera, scan.optics, beam, heights)
     if tilt is None:
-        reconstruct_slices(sinogram, beam, grid.x_mm, grid.y_mm, filter_name=settings.filter_name, out=density)
+        reconstruct_slices(
+            sinogram, beam, grid.x_mm, grid.y_mm, filter_name=settings.filter_name, radius_mm=radius, out=density
+        )
     else:
-        density[:] = reconstruct_tilted(
-            sinogram, beam, heights, tilt, grid.x_mm, grid.y_mm, z_mm, filter_name=settings.filter_name
+        density[:] = reconstruct_climbing(
+            sinogram, beam, heights, tilt, grid.x_mm, grid.y_mm, z_mm, radius, filter_name=settings.filter_name
         )
 
 
 def _heights_of_climbing_rays(z_mm: FloatArray, voxel_mm: float, largest_climb: float) -> FloatArray:
-    """Return the mid-heights of all rays that pass a stack of slices, at half the voxel for z is interpolated again."""
-    spacing = voxel_mm / 2
-    margin = int(np.ceil(np.abs(z_mm).max() * largest_climb / spacing)) + 2
-    return np.asarray(z_mm[0] + np.arange(-margin, 2 * len(z_mm) - 1 + margin) * spacing, dtype=np.float64)
+    """Return the heights of slices about a stack, twice as far as rays that pass it climb in the field."""
+    margin = int(np.ceil(np.abs(z_mm).max() * 2 * largest_climb * (1 + largest_climb) / voxel_mm)) + 2
+    return np.asarray(z_mm[0] + np.arange(-margin, len(z_mm) + margin) * voxel_mm, dtype=np.float64)
 
 
 RowReader = Callable[[slice], Float32Array]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vialight.arrays import Float32Array, FloatArray, ParallelBeam
-from vialight.radon import FilterName, backproject, backproject_tilted, filter_rays, ramp_filter
+from vialight.radon import FilterName, backproject, backproject_tilted, filter_rays, project_tilted, ramp_filter
 
 DEFAULT_FILTER: FilterName = "cosine"
 
@@ -17,6 +17,7 @@ def reconstruct_slices(
     y_mm: FloatArray,
     *,
     filter_name: FilterName = DEFAULT_FILTER,
+    radius_mm: float = np.inf,
     out: Float32Array | None = None,
 ) -> Float32Array:
     """Filter and backproject a sinogram, slice by slice.
@@ -34,6 +35,8 @@ def reconstruct_slices(
         Voxel centres.
     filter_name
         See `vialight.radon.ramp_filter`.
+    radius_mm
+        Farther from the axis nothing is wanted, see `vialight.radon.backproject`.
     out
         (z, y, x) contiguous float32 memory for the result; by default new memory.
 
@@ -46,7 +49,9 @@ def reconstruct_slices(
     folded = sinogram[:half] + sinogram[half:, ::-1]
     filtered = _filter(folded, beam, filter_name)
     first = float(beam.virtual_x_mm[0])
-    made = backproject(filtered, beam.psi_rad[:half], first, beam.spacing_mm, x_mm, y_mm, slices=out)
+    made = backproject(
+        filtered, beam.psi_rad[:half], first, beam.spacing_mm, x_mm, y_mm, radius_mm=radius_mm, slices=out
+    )
     return made.transpose(2, 0, 1)
 
 
@@ -84,6 +89,59 @@ def reconstruct_tilted(
     return backproject_tilted(
         filtered, beam.psi_rad, first, beam.spacing_mm, tilt_per_mm, mid_height_mm, x_mm, y_mm, z_mm
     ).transpose(2, 0, 1)
+
+
+def reconstruct_climbing(
+    sinogram: Float32Array,
+    beam: ParallelBeam,
+    mid_height_mm: FloatArray,
+    tilt_per_mm: FloatArray,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    z_mm: FloatArray,
+    radius_mm: float,
+    *,
+    filter_name: FilterName = DEFAULT_FILTER,
+) -> Float32Array:
+    """Reconstruct along rays that climb, and take what none of them measures from the reconstruction by level rays.
+
+    The rays of one circular orbit climb alike from all sides: at a height z they leave a cone of frequencies about the
+    axis unmeasured, as steep as they are (Tuy 1983), without which end faces lose their rims.  With A, F and B for
+    projection, filter and backprojection, c along climbing and l along level rays, and x_l = B_l F p,
+
+        x = B_c F p + (B_l F A_l - B_c F A_c) x_l
+
+    Where frequencies are measured the bracket is nothing and the first term is right; in the cone the first term and
+    B_c F A_c are nothing, and what level rays make of the projections stays.
+
+    Parameters
+    ----------
+    sinogram
+        (psi, x_v, z_mid).
+    mid_height_mm
+        The heights of slices, those wanted and more on either side: twice as many as rays climb in the field.
+    tilt_per_mm, beam, x_mm, y_mm, z_mm, filter_name
+        As for `reconstruct_tilted`.
+    radius_mm
+        Of the rays' field; beyond it the volume is zero.
+
+    Returns
+    -------
+    numpy.ndarray
+        (z, y, x) float32, per mm.
+    """
+    outside = np.hypot(x_mm, y_mm[:, None]) > radius_mm
+    by_level_rays = reconstruct_slices(sinogram, beam, x_mm, y_mm, filter_name=filter_name, radius_mm=radius_mm)
+    columns = np.ascontiguousarray(np.where(outside, np.float32(0), by_level_rays).transpose(1, 2, 0))
+    psi, s, flat = beam.psi_rad, beam.virtual_x_mm, np.zeros_like(tilt_per_mm)
+    unexplained = sinogram - project_tilted(columns, psi, s, tilt_per_mm, mid_height_mm, x_mm, y_mm)
+    first = round((z_mm[0] - mid_height_mm[0]) / (mid_height_mm[1] - mid_height_mm[0]))
+    wanted = np.ascontiguousarray(columns[..., first : first + len(z_mm)])
+    level = project_tilted(wanted, psi, s, flat, z_mm, x_mm, y_mm)
+    found = reconstruct_tilted(
+        unexplained, beam, mid_height_mm, tilt_per_mm, x_mm, y_mm, z_mm, filter_name=filter_name
+    )  # fmt: skip
+    return found + reconstruct_slices(level, beam, x_mm, y_mm, filter_name=filter_name, radius_mm=radius_mm)
 
 
 def _filter(sinogram: Float32Array, beam: ParallelBeam, filter_name: FilterName) -> Float32Array:

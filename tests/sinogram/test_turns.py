@@ -84,6 +84,22 @@ def test_frames_that_came_in_the_wrong_order_are_in_their_turn() -> None:
     np.testing.assert_array_equal(select_turn(angles), np.arange(180, 360))
 
 
+@pytest.mark.parametrize("sense", [1, -1])
+def test_frames_of_several_turns_in_any_order_are_told_apart_by_angles_that_count_on(sense: int) -> None:
+    angles = degrees(10, 2 * sense, 540)
+    # Slices, so that the way the stage turns still shows.
+    order = np.concatenate([np.random.default_rng(0).permutation(270), 270 + np.random.default_rng(1).permutation(270)])
+    for turn in (1, 2, 3):
+        chosen = order[select_turn(angles[order], turn)]
+        np.testing.assert_array_equal(np.sort(chosen), np.arange((turn - 1) * 180, turn * 180))
+
+
+def test_shuffled_angles_that_begin_anew_with_each_turn_are_refused() -> None:
+    angles = np.random.default_rng(0).permutation(np.mod(degrees(10, 2, 540), 2 * np.pi))
+    with pytest.raises(InputError, match=r"/exchange/theta: angles go back and forth .* accepted: frames in order"):
+        select_turn(angles)
+
+
 def test_angles_that_never_change_are_refused() -> None:
     with pytest.raises(InputError, match="/exchange/theta: all angles are the same"):
         select_turn(np.ones(5))

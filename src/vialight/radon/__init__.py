@@ -2,11 +2,12 @@
 
 A ray is the line ``x cos(psi) - y sin(psi) = s`` of the object frame.  Arrays keep z innermost, so that the index and
 the weight of a pixel are computed once and applied to a whole column of slices.  `filters` has the ramps, `level` and
-`climbing` backproject whole sinograms.
+`climbing` backproject whole sinograms, `projecting` makes them.
 """
 
 from vialight.radon.climbing import backproject_tilted
 from vialight.radon.filters import FilterName, filter_rays, ramp_filter
 from vialight.radon.level import backproject
+from vialight.radon.projecting import project_tilted
 
-__all__ = ["FilterName", "backproject", "backproject_tilted", "filter_rays", "ramp_filter"]
+__all__ = ["FilterName", "backproject", "backproject_tilted", "filter_rays", "project_tilted", "ramp_filter"]

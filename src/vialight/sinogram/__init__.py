@@ -9,7 +9,7 @@ ray are read off, and the frames are interpolated there.
 """
 
 from vialight.sinogram.background import attenuation, bin_frames
-from vialight.sinogram.geometry import parallel_beam, rows_seen
+from vialight.sinogram.geometry import parallel_beam, rows_seen, warn_of_unseen_rays
 from vialight.sinogram.resampling import resample
 from vialight.sinogram.turns import select_turn
 
@@ -20,4 +20,5 @@ __all__ = [
     "resample",
     "rows_seen",
     "select_turn",
+    "warn_of_unseen_rays",
 ]

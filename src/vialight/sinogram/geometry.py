@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from vialight.arrays import TURN_RAD, FloatArray, ParallelBeam, centred
 from vialight.config import Camera, Optics
-from vialight.errors import InputError
-from vialight.sinogram.turns import nominal_step, sorted_turn
+from vialight.errors import InputError, VialightWarning
+from vialight.sinogram.turns import WIDEST_GAP_RAD, nominal_step, sorted_turn, widest_gap
 from vialight.viewing import EDGE_MARGIN, rows_of, vial_edge_columns
 
 ROW_MARGIN = 10
@@ -61,6 +63,30 @@ def _check_vial_in_image(columns: int, camera: Camera, optics: Optics) -> None:
             accepted="a vial that is seen to its edge on one side at least",
             remedy="correct outer_radius_mm, pixel_mm or the binning",
         )  # fmt: skip
+
+
+def warn_of_unseen_rays(angles_rad: FloatArray, columns: int, camera: Camera) -> None:
+    """Say how far from the axis parallel rays see everything, where half a turn and an axis off centre leave rays out.
+
+    Parameters
+    ----------
+    angles_rad, columns, camera
+        As for `parallel_beam`.
+
+    Warns
+    -----
+    VialightWarning
+        Rays on the wider side of the axis are seen from one side only.
+    """
+    left, right = camera.axis_column, columns - 1 - camera.axis_column
+    if abs(left - right) > 1 and widest_gap(sorted_turn(angles_rad)[1])[1] > WIDEST_GAP_RAD:
+        warnings.warn(
+            f"half a turn about an axis {abs(left - right) / 2:.1f} columns off the image's middle sees all that lies "
+            f"within {min(left, right) * camera.pixel_mm:.4g} mm of the axis; farther out some rays are missing, "
+            "which count as zero: record a full turn",
+            VialightWarning,
+            stacklevel=2,
+        )
 
 
 def rows_seen(z_mm: FloatArray, rows: int, camera: Camera, optics: Optics | None) -> slice:

@@ -12,6 +12,12 @@ WIDEST_GAP_RAD = np.radians(30.0)
 
 _SAME_ANGLE_RAD = 1e-6
 
+_WRAPPED_RAD = 1.25 * TURN_RAD
+"""Angles that span more than this count turns; others may begin anew with each."""
+
+_SHUFFLED_SHARE = 0.1
+"""A stage turns one way: if more of the steps than this are wide ones against it, frames are not in order."""
+
 _SHORT_END_STEPS, _SHORT_END_RAD = 3, np.radians(15.0)
 """A turn is full though it ends this much early: frames may be missing there as anywhere."""
 
@@ -22,9 +28,9 @@ def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
     Parameters
     ----------
     angles_rad
-        (frame,) stage angles, rising or falling, cumulative or wrapped at a full turn.
+        (frame,) stage angles, rising or falling, cumulative or wrapped at a full turn; in any order if cumulative.
     turn
-        1 is the turn that begins with the first frame; None the one that ends with the last frame, since a print may
+        1 is the turn that begins with the first angle; None the one that ends with the last frame, since a print may
         have grown until then, or all frames if they are less than a turn.
 
     Returns
@@ -35,10 +41,10 @@ def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
     Raises
     ------
     InputError
-        There is no such turn.
+        There is no such turn, or which turn frames belong to cannot be known.
     """
-    travelled = np.abs(np.unwrap(angles_rad) - angles_rad[0])
-    step = nominal_step(travelled)
+    travelled = _travelled(angles_rad)
+    step = nominal_step(np.sort(travelled))
     if turn is None:
         return np.asarray(np.flatnonzero(travelled > travelled.max() + step / 2 - TURN_RAD), dtype=np.int64)
     end = travelled.max() + max(step, min(_SHORT_END_STEPS * step, _SHORT_END_RAD))
@@ -49,6 +55,23 @@ def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
     start = (turn - 1) * TURN_RAD - step / 2
     chosen = np.flatnonzero((travelled >= start) & (travelled < start + TURN_RAD))
     return np.asarray(chosen, dtype=np.int64)
+
+
+def _travelled(angles_rad: FloatArray) -> FloatArray:
+    """Return how far the stage had turned since its first angle, at every frame."""
+    if np.ptp(angles_rad) > _WRAPPED_RAD:
+        order = np.arange(len(angles_rad)) - (len(angles_rad) - 1) / 2
+        falls = order @ (angles_rad - angles_rad.mean()) < 0
+        return np.asarray(angles_rad.max() - angles_rad if falls else angles_rad - angles_rad.min())
+    steps = np.diff(np.unwrap(angles_rad))
+    wide = np.abs(steps) > TURN_RAD / 8
+    against = min((wide & (steps > 0)).sum(), (wide & (steps < 0)).sum())
+    if against > _SHUFFLED_SHARE * len(steps):
+        raise InputError(
+            "/exchange/theta", f"angles go back and forth in {against} of {len(steps)} steps",
+            accepted="frames in order of recording, or angles that count on beyond 360 deg", remedy="sort the frames",
+        )  # fmt: skip
+    return np.asarray(np.abs(np.unwrap(angles_rad) - angles_rad[0]), dtype=np.float64)
 
 
 def nominal_step(angles_rad: FloatArray) -> float:
@@ -70,15 +93,21 @@ def sorted_turn(angles_rad: FloatArray) -> tuple[IntArray, FloatArray]:
     return np.asarray(order, dtype=np.int64), wrapped[order]
 
 
-def check_gaps(angles: FloatArray, half_turn_suffices: bool) -> None:
-    """Refuse a turn in which frames are missing over too wide an angle."""
+def widest_gap(angles: FloatArray) -> tuple[float, float]:
+    """Return where the widest gap between sorted angles of a turn begins, and its width."""
     gaps = np.diff(angles, append=angles[0] + TURN_RAD)
     widest = int(gaps.argmax())
-    gap, start = np.degrees(gaps[widest]), np.degrees(angles[widest])
+    return float(angles[widest]), float(gaps[widest])
+
+
+def check_gaps(angles: FloatArray, half_turn_suffices: bool) -> None:
+    """Refuse a turn in which frames are missing over too wide an angle."""
+    start_rad, gap_rad = widest_gap(angles)
+    start, gap = np.degrees(start_rad), np.degrees(gap_rad)
     # Parallel rays are the same from both sides: half a turn is enough.
     if half_turn_suffices and gap <= 180 + 2 * np.degrees(nominal_step(angles)):
         return
-    if gaps[widest] > WIDEST_GAP_RAD + _SAME_ANGLE_RAD:
+    if gap_rad > WIDEST_GAP_RAD + _SAME_ANGLE_RAD:
         raise InputError(
             "/exchange/theta", f"no frames for {gap:.1f} deg after {start:.1f} deg",
             accepted=f"gaps of up to {np.degrees(WIDEST_GAP_RAD):.0f} deg in a turn"
