@@ -38,7 +38,8 @@ def test_every_command_has_help_with_an_example() -> None:
     inner = re.findall(r"^  (\w+) ", run("calibrate", "--help").stdout.split("Commands:")[1], flags=re.MULTILINE)
     for command in [*commands, *(f"calibrate {name}" for name in inner)]:
         text = run(*command.split(), "--help").stdout
-        assert f"vialight {command}" in text.split("Example:")[1]
+        # On a line of its own, to be copied.
+        assert re.search(rf"^    vialight {command}( |$)", text.split("Example:\n")[1], flags=re.MULTILINE), text
 
 
 def test_help_imports_nothing_heavy() -> None:

@@ -17,7 +17,7 @@ _as_json = click.option("--json", "as_json", is_flag=True, help="Print the resul
 
 @click.group()
 def calibrate() -> None:
-    r"""Find values of the rig from data: a new rig, with uncertainties, and a page that shows whether it is right.
+    """Find values of the rig from data: a new rig, with uncertainties, and a page that shows whether it is right.
 
     \b
     Example:
@@ -40,7 +40,7 @@ def resin(
     table: Path | None, cylinders: tuple[tuple[Path, Path], ...], profile_pixel_mm: float | None, voxel: float | None,
     rig: Path, out: Path, as_json: bool,
 ) -> None:  # fmt: skip
-    r"""Find critical exposure and absorption from a TABLE (CSV) of exposures and cured depths, or the imaging index.
+    """Find critical exposure and absorption from a TABLE (CSV) of exposures and cured depths, or the imaging index.
 
     The table's columns: exposure_mj_per_cm2, at the resin's surface, and depth_mm.
 
@@ -86,7 +86,7 @@ def threshold(
     validate: tuple[tuple[Path, Path], ...], voxel: float | None, binning: int, turn: int | None,
     exposure_s: float | None, gain_db: float | None, led_level: float | None, rig: Path, out: Path, as_json: bool,
 ) -> None:  # fmt: skip
-    r"""Find the gelation threshold I_p from FRAMES of a standard cylinder and its profile, or of several.
+    """Find the gelation threshold I_p from FRAMES of a standard cylinder and its profile, or of several.
 
     \b
     Example:
@@ -119,7 +119,7 @@ def threshold(
 @_out
 @_as_json
 def projector(frames: Path | None, resin: str, faults: Path | None, rig: Path, out: Path, as_json: bool) -> None:
-    r"""Find where the projector stands by sweeping a line through the resin and watching it glow.
+    """Find where the projector stands by sweeping a line through the resin and watching it glow.
 
     On the devices that the rig names, the camera's filter taken off, or else on the digital twin; or from FRAMES, a
     sweep that was recorded before (NEW.sweep.h5).
@@ -147,7 +147,7 @@ def projector(frames: Path | None, resin: str, faults: Path | None, rig: Path, o
 @_out
 @_as_json
 def latency(first: Path, second: Path, flash: bool, rig: Path, out: Path, as_json: bool) -> None:
-    r"""Find the delays of camera and projector from two recordings of one thing, FIRST and SECOND.
+    """Find the delays of camera and projector from two recordings of one thing, FIRST and SECOND.
 
     They are taken with `vialight record`, at two speeds.
 

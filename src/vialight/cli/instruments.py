@@ -17,7 +17,7 @@ _as_json = click.option("--json", "as_json", is_flag=True, help="Print the resul
 @click.command("devices")
 @_as_json
 def devices_command(as_json: bool) -> None:
-    r"""List the cameras, serial ports and monitors that are found, with the lines of a rig that name them.
+    """List the cameras, serial ports and monitors that are found, with the lines of a rig that name them.
 
     \b
     Example:
@@ -35,7 +35,7 @@ def devices_command(as_json: bool) -> None:
 @click.option("--rate", type=float, default=10.0, show_default=True, help="Frames a second that are wanted.")
 @_as_json
 def doctor_command(rig: Path, rate: float, as_json: bool) -> None:
-    r"""Check each device that a RIG names, and say what is wrong and what to do; turns the stage, shows no light.
+    """Check each device that a RIG names, and say what is wrong and what to do; turns the stage, shows no light.
 
     Exit code 0: all is well; 1: something is not.
 
@@ -63,7 +63,7 @@ def doctor_command(rig: Path, rate: float, as_json: bool) -> None:
 def record_command(
     rig: Path, out: Path, turns: float, dark: int, rate: float, part: Path | None, as_json: bool
 ) -> None:
-    r"""Record a thing that turns, without printing, with the devices that the rig names or else on its twin.
+    """Record a thing that turns, without printing, with the devices that the rig names or else on its twin.
 
     Ctrl-C ends the recording and keeps what there is.
 

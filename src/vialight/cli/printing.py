@@ -48,7 +48,7 @@ def print_command(
     voxel: float | None, every_deg: float, longest: float, tolerance: float | None, resin: str | None, rate: float,
     resin_voxel: float, binning: int, seed: int, serve: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    r"""Print a PLAN, measured while it forms, on the devices that the rig names or else on the digital twin.
+    """Print a PLAN, measured while it forms, on the devices that the rig names or else on the digital twin.
 
     Ctrl-C turns the light off at once and then ends the print in its usual way; a second one gives up the rest.
 
@@ -86,7 +86,7 @@ def watch_command(
     run: Path, rate: float, out: Path | None, threshold: float | None, voxel: float | None, every_deg: float,
     serve: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    r"""Replay a RUN's recording as if it were live.
+    """Replay a RUN's recording as if it were live.
 
     \b
     Example:
