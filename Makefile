@@ -1,4 +1,4 @@
-# make demo   set up, then reconstruct and measure the sample print
+# make demo   set up, then plan a part and print it on the digital twin, measured while it forms
 # make test   set up, then run every check
 PYTHON ?= python3
 BIN := .venv/bin

@@ -77,8 +77,9 @@ def test_whatever_differs_is_another_rehearsal(plan: Plan, monkeypatch: pytest.M
         (plan, RIG, replace(RESIN, chemistry=replace(RESIN.chemistry, sensitivity=1.2))),
         (plan, RIG, load_resin("BPAGDA")),
     ]
-    keys = {rehearsal_key(*one) for one in [(plan, RIG, RESIN), *others]}
+    keys = {rehearsal_key(*one, 0.2) for one in [(plan, RIG, RESIN), *others]}
     assert len(keys) == len(others) + 1
-    assert rehearsal_key(plan, quick_rig(), load_resin("DUDMA")) in keys
+    assert rehearsal_key(plan, quick_rig(), load_resin("DUDMA"), 0.2) in keys
     monkeypatch.setattr(kept_rehearsals, "_MODEL", ("twin", "feedback"))  # as if the code were another
-    assert rehearsal_key(plan, RIG, RESIN) not in keys
+    assert rehearsal_key(plan, RIG, RESIN, 0.2) not in keys
+    assert rehearsal_key(plan, RIG, RESIN, 0.3) not in keys

@@ -9,9 +9,9 @@ import click
 
 from vialight.cli.calibrating import calibrate
 from vialight.cli.instruments import devices_command, doctor_command, record_command
-from vialight.cli.printing import print_command, watch_command
+from vialight.cli.printing import kinetics_command, print_command, say, status_line, watch_command
 from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
-from vialight.cli.tables import measurement_lines, plan_lines, reconstruction_lines, simulation_lines
+from vialight.cli.tables import measurement_lines, plan_lines, print_lines, reconstruction_lines, simulation_lines
 
 if TYPE_CHECKING:
     from vialight.commands import GivenProjections, PlanSettings
@@ -280,24 +280,29 @@ def export(plan: Path, out: Path, turns: float, as_json: bool) -> None:
 @click.option(
     "--out", type=_FOLDER, default=Path("vialight-demo"), show_default=True, help="Folder for everything it makes."
 )
+@click.option("--recording", is_flag=True, help="Print nothing: reconstruct and measure a recording that comes along.")
+@click.option("--serve", is_flag=True, help="Show the print in a browser.")
 @_as_json
-def demo(out: Path, as_json: bool) -> None:
-    """Reconstruct and measure a sample print that comes with vialight.
+def demo(out: Path, recording: bool, serve: bool, as_json: bool) -> None:
+    """Plan a sample part, print it on the digital twin, measured while it forms, and report: about a minute or two.
 
     \b
     Example:
       vialight demo --out demo
+      vialight demo --out demo --serve
     """
     with faults_told():
-        from importlib.resources import as_file, files
+        from vialight.commands.demo import measure_demo, print_demo
 
-        from vialight.commands import measure_surface, reconstruct_recording
-
-        with as_file(files("vialight") / "sample") as sample, progress("slices") as advance:
-            first = reconstruct_recording(sample / "frames.h5", sample / "rig.toml", out, progress=advance)
-            second = measure_surface(out, sample / "part.stl", out, tolerance_mm=0.1)
-        lines = [*reconstruction_lines(first, out), "", *measurement_lines(second, out)]
-        show({"reconstruction": first, "measurement": second}, as_json, lambda: lines)
+        if recording:
+            with progress("slices") as advance:
+                first, second = measure_demo(out, progress=advance)
+            lines = [*reconstruction_lines(first, out), "", *measurement_lines(second, out)]
+            show({"reconstruction": first, "measurement": second}, as_json, lambda: lines)
+            return
+        with stopped_by_interrupt("light off; ending the print") as keep_going:
+            result = print_demo(out, serve=serve, keep_going=keep_going, on_status=status_line(), on_step=say)
+        show(result, as_json, lambda: print_lines(result, out / "run"))
 
 
 main.add_command(calibrate)
@@ -306,3 +311,4 @@ main.add_command(watch_command)
 main.add_command(devices_command)
 main.add_command(doctor_command)
 main.add_command(record_command)
+main.add_command(kinetics_command)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vialight.cli.running import faults_told, show, stopped_by_interrupt
-from vialight.cli.tables import print_lines, watch_lines
+from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
+from vialight.cli.tables import kinetics_lines, print_lines, watch_lines
 
 if TYPE_CHECKING:
     from vialight.links import PrintStatus
@@ -68,7 +68,7 @@ def print_command(
         with stopped_by_interrupt("light off; ending the print") as keep_going:
             result = print_part(
                 plan, rig, out, settings=settings, live=live, simulation=simulation, keep_going=keep_going,
-                on_status=status_line(), on_step=_say, on_rehearsal=_rehearsed, serve=serve,
+                on_status=status_line(), on_step=say, on_rehearsal=_rehearsed, serve=serve,
             )  # fmt: skip
         show(result, as_json, lambda: print_lines(result, out))
 
@@ -99,12 +99,62 @@ def watch_command(
         with stopped_by_interrupt("ending the replay") as keep_going:
             result = watch_run(
                 run, rate=rate, out=out, threshold=threshold, voxel_mm=voxel, every_deg=every_deg,
-                keep_going=keep_going, on_status=status_line(), serve=serve, on_step=_say,
+                keep_going=keep_going, on_status=status_line(), serve=serve, on_step=say,
             )  # fmt: skip
         show(result, as_json, lambda: watch_lines(result))
 
 
-def _say(message: str) -> None:
+def _point(ctx: click.Context, param: click.Parameter, value: str) -> tuple[float, float, float]:
+    """Return the three numbers of X,Y,Z."""
+    try:
+        x, y, z = (float(part) for part in value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is not three numbers with commas between", ctx, param) from None
+    return x, y, z
+
+
+@click.command("kinetics")
+@click.argument("run", type=_FOLDER)
+@click.option(
+    "--at",
+    required=True,
+    callback=_point,
+    metavar="X,Y,Z",
+    help="Where to look, object frame, mm: z up, x right at angle 0.",
+)
+@click.option("--radius", type=float, default=0.0, help="Of the ball that is averaged, mm. [default: the point]")
+@click.option("--out", type=_FOLDER, help="Folder for tables and pictures. [default: kinetics in the run]")
+@click.option("--plan", type=_FILE, help="Plan whose patterns were shown: for the dose. [default: the run's]")
+@click.option("--reference", type=_FILE, help="Mesh that was meant: for failures. [default: the run's]")
+@click.option("--tolerance", type=float, help="How far outside it matter may gel, mm. [default: two voxels]")
+@click.option("--threshold", type=float, help="Gelation threshold I_p, counts per mm. [default: the rig's]")
+@click.option("--voxel", type=float, help="Edge of a voxel, mm. [default: a pixel]")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, alone on stdout.")
+def kinetics_command(
+    run: Path, at: tuple[float, float, float], radius: float, out: Path | None, plan: Path | None,
+    reference: Path | None, tolerance: float | None, threshold: float | None, voxel: float | None, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Tell density and dose over time at a place of a RUN, when matter gelled, and where and when it began to fail.
+
+    \b
+    Example:
+      vialight kinetics run --at 0,0,1.5
+      vialight kinetics run --at=-2.5,0,0 --radius 0.5 --out why
+    """
+    with faults_told():
+        from vialight.commands.kinetics import kinetics_of
+        from vialight.live import Place
+
+        with progress("frames") as advance:
+            result = kinetics_of(
+                run, Place(at, radius), out=out, plan=plan, reference=reference, tolerance_mm=tolerance,
+                threshold=threshold, voxel_mm=voxel, progress=advance,
+            )  # fmt: skip
+        show(result, as_json, lambda: kinetics_lines(result, out or run / "kinetics"))
+
+
+def say(message: str) -> None:
+    """Tell a person what is done now."""
     click.echo(message, err=True)
 
 

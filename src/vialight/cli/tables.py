@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+_KINETICS_ROWS = 12
+
 
 def reconstruction_lines(result: dict[str, Any], out: Path) -> list[str]:
     """Say what was reconstructed."""
@@ -171,3 +173,38 @@ def record_lines(result: dict[str, Any]) -> list[str]:
         f"turns           {result['turns']:.3f}" + ("" if result["is_complete"] else ", ended early"),
         f"written to      {result['file']} in {result['elapsed_s']:.1f} s",
     ]
+
+
+def kinetics_lines(result: dict[str, Any], out: Path) -> list[str]:
+    """Say what happened at a place, in a dozen rows, and what failed."""
+    table, settings = result["table"], result["settings"]
+    unit = result["dose_unit"]
+    has_dose = unit is not None
+    lines = [
+        f"at {', '.join(f'{value:g}' for value in settings['at_mm'])} mm"
+        + (f", within {settings['radius_mm']:g} mm" if settings["radius_mm"] else "")
+        + f"; gelled above {settings['threshold_counts_per_mm']:g} counts per mm",
+        f"light: {result['light']}",
+        "",
+        "   turns of light    light, s     time, s   counts per mm" + (f"   dose, {unit}" if has_dose else ""),
+    ]
+    count = len(table["time_s"])
+    for row in sorted({round(k * (count - 1) / _KINETICS_ROWS) for k in range(_KINETICS_ROWS + 1)}):
+        values = [table[name][row] for name in ("turn", "lit_s", "time_s", "density_counts_per_mm")]
+        turn, lit_s, time_s, density = (float(value) for value in values)
+        dose = f"{float(table['dose'][row]):12.4g}" if has_dose else ""
+        lines.append(f"   {turn:14.2f} {lit_s:11.1f} {time_s:11.1f} {density:15.1f}{dose}")
+    gelled = result["gelled_at_lit_s"]
+    lines += ["", "never gelled here" if gelled is None else f"seen to gel here after {gelled:.1f} s of light"]
+    if result["failures"] is None:
+        lines.append("no reference: failures were not looked for")
+    elif not result["failures"]:
+        lines.append("nothing failed: no matter outside the tolerance, none inside stopped gaining")
+    else:
+        lines.append("what failed, the first first:")
+        lines += [
+            f"   {one['what']} from turn {one['turn']:.2f} ({one['lit_s']:.1f} s of light, {one['time_s']:.1f} s), at "
+            f"({', '.join(f'{value:.2f}' for value in one['at_mm'])}) mm, {one['size_mm3']:.2f} mm^3 in the end"
+            for one in result["failures"]
+        ]
+    return [*lines, f"written to {out}"]

@@ -31,19 +31,20 @@ _MOST = 100
 
 
 def kept_stop_model(
-    plan: Plan, rig: Rig, resin: ResinModel, *, progress: Callable[[int, int], None] | None = None
-) -> StopModel:
+    plan: Plan, rig: Rig, resin: ResinModel, *, voxel_mm: float = 0.2,
+    progress: Callable[[int, int], None] | None = None,
+) -> StopModel:  # fmt: skip
     """Return what `stop_model_for` returns, computed if it is not kept.
 
     Parameters
     ----------
-    plan, rig, resin, progress
+    plan, rig, resin, voxel_mm, progress
         See `vialight.commands.stop_models.stop_model_for`.
     """
-    path = _folder() / f"{rehearsal_key(plan, rig, resin)}.json"
+    path = _folder() / f"{rehearsal_key(plan, rig, resin, voxel_mm)}.json"
     with contextlib.suppress(InputError):
         return StopModel.from_json(read_json(path))
-    model = stop_model_for(plan, rig, resin, progress=progress)
+    model = stop_model_for(plan, rig, resin, voxel_mm=voxel_mm, progress=progress)
     with contextlib.suppress(InputError, OSError):  # a print needs no cache
         path.parent.mkdir(parents=True, exist_ok=True)
         write_json(path, model.to_json())
@@ -52,7 +53,7 @@ def kept_stop_model(
     return model
 
 
-def rehearsal_key(plan: Plan, rig: Rig, resin: ResinModel) -> str:
+def rehearsal_key(plan: Plan, rig: Rig, resin: ResinModel, voxel_mm: float) -> str:
     """Return the hash of all that a rehearsal depends on."""
     patterns, part = plan.patterns, plan.reference
     whole = hashlib.sha256()
@@ -60,7 +61,8 @@ def rehearsal_key(plan: Plan, rig: Rig, resin: ResinModel) -> str:
         whole.update(f"{array.shape} {array.dtype}\0".encode())
         whole.update(array.tobytes())
     words = (
-        patterns.first_row, patterns.first_column, patterns.dose_rate_per_level, rig_to_toml(rig), resin, versions(),
+        patterns.first_row, patterns.first_column, patterns.dose_rate_per_level, rig_to_toml(rig), resin, voxel_mm,
+        versions(),
     )  # fmt: skip
     whole.update("\0".join(map(repr, words)).encode())
     for name in _MODEL:

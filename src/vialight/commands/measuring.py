@@ -30,6 +30,7 @@ from vialight.surface import isosurface, pieces
 if TYPE_CHECKING:
     from vialight.arrays import Volume
     from vialight.metrology import Comparison
+    from vialight.report import Figure
 
 RECONSTRUCTION = "reconstruction.json"
 SURFACE = "surface.stl"
@@ -114,6 +115,7 @@ def measure_surface(
     *,
     align: Literal["rigid", "none"] = "rigid",
     tolerance_mm: float | None = None,
+    figures: Sequence[Figure] = (),
 ) -> dict[str, Any]:
     """Measure a surface against its reference and write the report.
 
@@ -127,6 +129,8 @@ def measure_surface(
         Folder for ``metrics.json``, ``deviation.ply`` and ``report.html``.
     align, tolerance_mm
         See `vialight.metrology.compare`.
+    figures
+        Further pictures for the report, before those of the reconstruction.
 
     Returns
     -------
@@ -153,7 +157,7 @@ def measure_surface(
     with staged_folder(out) as folder:
         write_json(folder / METRICS, result)
         _write_deviation(folder / "deviation.ply", comparison)
-        _write_report(folder / REPORT, comparison, result, _read_pictures(measured_path))
+        _write_report(folder / REPORT, comparison, result, [*figures, *_read_pictures(measured_path)])
     return result
 
 
@@ -231,7 +235,7 @@ def _write_deviation(path: Path, comparison: Comparison) -> None:
     write_ply(path, comparison.measured, {"deviation_mm": comparison.deviation_mm}, colours)
 
 
-def _write_report(path: Path, comparison: Comparison, result: dict[str, Any], pictures: Sequence[Picture]) -> None:
+def _write_report(path: Path, comparison: Comparison, result: dict[str, Any], pictures: Sequence[Figure]) -> None:
     from vialight.report import Provenance, write_report
 
     provenance = Provenance(inputs=result["inputs"], settings=result["settings"], versions=result["versions"])

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vialight.commands.kept_rehearsals import kept_stop_model
+from vialight.commands.kinetics import REHEARSAL
 from vialight.commands.measuring import measure_surface, reconstruct_recording
 from vialight.commands.provenance import inputs_json, versions
 from vialight.config import Rig, ThresholdConditions
@@ -25,6 +26,7 @@ from vialight.live import LiveSettings, LiveWatcher
 from vialight.mesh import Mesh, load_mesh
 from vialight.plan import Plan
 from vialight.printing import PrintSettings, print_plan
+from vialight.report import growth_figure
 from vialight.store import read_plan, rig_to_toml, write_json, write_stl
 from vialight.twin import ResinModel, TwinSettings, find_rig, load_resin, resin_names
 from vialight.web import PageProcess
@@ -82,6 +84,8 @@ class LiveOptions:
         Turn of the object between volumes and surfaces that are kept.
     tolerance_mm
         For the verdict on the finished print.
+    rehearsal_voxel_mm
+        Of the resin in which the print is rehearsed.
     """
 
     reference: Path | None = None
@@ -89,6 +93,7 @@ class LiveOptions:
     voxel_mm: float | None = None
     every_deg: float = 360.0
     tolerance_mm: float | None = None
+    rehearsal_voxel_mm: float = 0.2
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.every_deg) and self.every_deg >= 1):
@@ -149,10 +154,14 @@ def print_part(
     model = None
     if settings.stop == "auto":
         on_step("rehearsing the print, to know when to stop")
-        model = kept_stop_model(job.plan, job.recorded, job.resin, progress=on_rehearsal)
+        model = kept_stop_model(
+            job.plan, job.recorded, job.resin, voxel_mm=live.rehearsal_voxel_mm, progress=on_rehearsal
+        )
     run = _new_folder(Path(out))
     started = time.monotonic()
     result = job.write_to(run, settings)
+    if model is not None:
+        write_json(run / REHEARSAL, model.to_json())
     on_step("starting the printer")
     with job.printer(run) as printer, contextlib.ExitStack() as stack:
         for told in printer.told:
@@ -172,16 +181,20 @@ def print_part(
     result |= {"state": "done", "printed": printed, "truth": truth, "elapsed_s": round(time.monotonic() - started, 3)}
     write_json(run / RUN, result)
     on_step("measuring the finished print")
-    result |= _measured(run, live.tolerance_mm)
+    result |= _measured(run, live.tolerance_mm, 360 / job.rig.stage.speed_deg_s)
     write_json(run / RUN, result)
     return result
 
 
-def _measured(run: Path, tolerance_mm: float | None) -> dict[str, Any]:
+def _measured(run: Path, tolerance_mm: float | None, turn_s: float) -> dict[str, Any]:
     """Reconstruct and measure a finished print; what cannot be measured is told, and loses nothing."""
     try:
         reconstruct_recording(run / "frames.h5", run / "rig.toml", run)
-        return {"measured": measure_surface(run, run / "reference.stl", run, tolerance_mm=tolerance_mm)}
+        grown = growth_figure(run, turn_s, load_mesh(run / "reference.stl").volume_mm3)
+        figures = [] if grown is None else [grown]
+        return {
+            "measured": measure_surface(run, run / "reference.stl", run, tolerance_mm=tolerance_mm, figures=figures)
+        }
     except VialightError as error:
         return {"measured": None, "why_not_measured": str(error)}
 

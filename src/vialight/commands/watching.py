@@ -23,6 +23,7 @@ from vialight.links import LiveLink, Mailbox, PrintStatus, Snapshot, SurfaceSnap
 from vialight.live import LiveSettings, LiveWatcher
 from vialight.mesh import load_mesh
 from vialight.printing import EventLog, Recorder
+from vialight.sinogram import frames_a_turn
 from vialight.store import FrameWriter, open_frames
 from vialight.viewing import columns_and_directions
 from vialight.web import PageProcess
@@ -88,7 +89,7 @@ def watch_run(
         clock = SimulatedClock(boxes / "clock", rate)
         camera = ReplayCamera(run / "frames.h5", clock)
         settings = LiveSettings(
-            folder, boxes, rig, threshold, _frames_per_turn(camera),
+            folder, boxes, rig, threshold, frames_a_turn(camera.angles_rad),
             load_mesh(run / "reference.stl") if (run / "reference.stl").exists() else None, voxel_mm=voxel_mm,
             every_deg=None if out is None else every_deg,
         )  # fmt: skip
@@ -207,15 +208,6 @@ def _refraction_delays(rig: Rig) -> dict[str, float]:
     _, direction = columns_and_directions(reach, 0.0, rig.need_camera(), optics)
     half, edge = np.abs(np.rad2deg(direction)) / rig.stage.speed_deg_s
     return {"refraction_delay_half_field_s": float(half), "refraction_delay_edge_s": float(edge)}
-
-
-def _frames_per_turn(camera: ReplayCamera) -> int:
-    """Return the even number of frames that makes a turn, from the median step."""
-    steps = np.abs(np.diff(np.unwrap(camera.angles_rad)))
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    if not 0 < step < np.pi / 2:
-        raise InputError("/exchange/theta", f"steps of {np.rad2deg(step):.3g} deg", accepted="a turning stage")
-    return max(4, 2 * round(np.pi / step))
 
 
 @contextlib.contextmanager

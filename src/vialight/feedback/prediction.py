@@ -129,6 +129,12 @@ def should_stop(prediction: StopPrediction, now_s: float) -> bool:
     return prediction.is_ready and now_s >= prediction.stop_s
 
 
+def crossings_at(model: StopModel, sensitivity: float) -> FloatArray:
+    """Return (place,) the lit time at which each place is seen to cure in resin of a sensitivity; NaN where never."""
+    ln_cross, _ = _at(float(np.log(sensitivity)), np.log(model.sensitivities), np.log(model.crossing_s))
+    return np.asarray(np.exp(ln_cross))
+
+
 @dataclass(frozen=True)
 class _Fit:
     """Most probable u, the noise of a place, ln(t_stop) and its standard deviation."""

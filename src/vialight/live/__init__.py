@@ -4,11 +4,22 @@
 - `analysis`: what about once a second is measured on it
 - `following`, `analysing`: the two processes that do so; `sharing` hands the volume from one to the other
 - `watcher`: both as one thing
+- `looking_back`: a recording, read again by the same window
 """
 
 from vialight.live.following import LiveSettings
+from vialight.live.looking_back import Place, SeenAgain, see_again, times_of
 from vialight.live.sharing import SharedVolume
 from vialight.live.watcher import LiveWatcher
 from vialight.live.window import SlidingWindow
 
-__all__ = ["LiveSettings", "LiveWatcher", "SharedVolume", "SlidingWindow"]
+__all__ = [
+    "LiveSettings",
+    "LiveWatcher",
+    "Place",
+    "SeenAgain",
+    "SharedVolume",
+    "SlidingWindow",
+    "see_again",
+    "times_of",
+]

@@ -3,6 +3,8 @@
 from vialight.report.calibration_figures import sweep_png, working_curve_png
 from vialight.report.calibration_page import write_calibration_page
 from vialight.report.colours import colour_limit_mm, deviation_colours
+from vialight.report.growth import growth_figure
+from vialight.report.kinetics_figures import GelPlanes, gel_times_png, kinetics_png
 from vialight.report.page import Figure, Provenance, write_report
 from vialight.report.plan_page import write_plan_page
 from vialight.report.threshold_figures import heights_png, rim_png, view_from_above_png
@@ -10,10 +12,14 @@ from vialight.report.timelapse import picture_of, write_timelapse
 
 __all__ = [
     "Figure",
+    "GelPlanes",
     "Provenance",
     "colour_limit_mm",
     "deviation_colours",
+    "gel_times_png",
+    "growth_figure",
     "heights_png",
+    "kinetics_png",
     "picture_of",
     "rim_png",
     "sweep_png",

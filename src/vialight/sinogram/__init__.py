@@ -11,11 +11,12 @@ ray are read off, and the frames are interpolated there.
 from vialight.sinogram.background import attenuation, bin_frames
 from vialight.sinogram.geometry import parallel_beam, rows_seen, warn_of_unseen_rays
 from vialight.sinogram.resampling import resample
-from vialight.sinogram.turns import select_turn
+from vialight.sinogram.turns import frames_a_turn, select_turn
 
 __all__ = [
     "attenuation",
     "bin_frames",
+    "frames_a_turn",
     "parallel_beam",
     "resample",
     "rows_seen",

@@ -83,6 +83,25 @@ def nominal_step(angles_rad: FloatArray) -> float:
     return float(np.median(steps))
 
 
+def frames_a_turn(angles_rad: FloatArray) -> int:
+    """Return the even number of frames that makes a turn, from the median step.
+
+    Examples
+    --------
+    >>> frames_a_turn(np.radians(np.arange(400) * 2.0))
+    180
+
+    Raises
+    ------
+    InputError
+        The stage does not turn, or too fast for its frames.
+    """
+    step = nominal_step(np.unwrap(angles_rad)) if len(angles_rad) > 1 else 0.0
+    if not 0 < step < TURN_RAD / 4:
+        raise InputError("/exchange/theta", f"steps of {np.degrees(step):.3g} deg", accepted="a turning stage")
+    return max(4, 2 * round(TURN_RAD / 2 / step))
+
+
 def sorted_turn(angles_rad: FloatArray) -> tuple[IntArray, FloatArray]:
     """Sort frames by angle within the turn; of frames at one angle the last stays."""
     wrapped = np.mod(angles_rad, TURN_RAD)

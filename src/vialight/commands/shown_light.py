@@ -1,0 +1,122 @@
+"""What light a run got: from what the projector logged, else from when it was on, else unknown."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vialight.arrays import FloatArray
+from vialight.config import Rig
+from vialight.kinetics import Shown
+from vialight.plan import Patterns
+from vialight.store import FrameFile, read_json
+
+_STEP_S = 1 / 32
+"""Between patterns, where it is not logged."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light of a run.
+
+    Parameters
+    ----------
+    source
+        Where this is known from, in words.
+    patterns
+        The plan's; None without a plan.
+    shown
+        What was shown when; None where that is not known.
+    time_s, lit_s
+        Lit time over time, to be read between by straight lines.
+    """
+
+    source: str
+    patterns: Patterns | None
+    shown: Shown | None
+    time_s: FloatArray
+    lit_s: FloatArray
+
+    def lit_at(self, time_s: FloatArray) -> FloatArray:
+        """Return for how long light had been on by each time."""
+        return np.asarray(np.interp(time_s, self.time_s, self.lit_s))
+
+    def turns_at(self, time_s: FloatArray, turn_s: float) -> FloatArray:
+        """Return turns of light by each time; once it is off for good, those in the dark are counted on."""
+        off_s = self.time_at(float(self.lit_s[-1]))
+        dark_s = 0.0 if self.off_at_lit_s is None else np.maximum(time_s - off_s, 0.0)
+        return np.asarray((self.lit_at(time_s) + dark_s) / turn_s)
+
+    def time_at(self, lit_s: float) -> float:
+        """Return when light had first been on for so long."""
+        at = min(int(np.searchsorted(self.lit_s, lit_s)), len(self.lit_s) - 1)
+        return float(self.time_s[at] - max(self.lit_s[at] - lit_s, 0.0))
+
+    @property
+    def off_at_lit_s(self) -> float | None:
+        """Lit time at which the light went off for good; None where it is not known to have."""
+        return float(self.lit_s[-1]) if len(self.lit_s) > 1 and self.lit_s[-1] == self.lit_s[-2] else None
+
+
+def light_of(run: Path, rig: Rig, frames: FrameFile, patterns: Patterns | None) -> Light:
+    """Find out what light a run got.
+
+    Parameters
+    ----------
+    run
+        Its folder: ``projector.csv`` is what was truly shown, ``run.json`` may know for how long there was light.
+    rig
+        For the stage's direction and speed.
+    frames
+        For the stage's angle over time.
+    patterns
+        Of the plan.
+    """
+    turned = np.unwrap(frames.angles_rad) * rig.stage.direction
+    speed = np.radians(rig.stage.speed_deg_s)
+    times = frames.time_s if frames.time_s is not None else np.abs(turned - turned[0]) / speed
+    order = np.argsort(times)
+    end_s = float(times.max())
+    log = run / "projector.csv"
+    if log.exists():
+        source = "what the projector showed, refresh by refresh (projector.csv)"
+        time_s, pattern = _logged(log)
+    else:
+        lit_s = _known_lit_s(run)
+        source = "recorded, light on from the first frame" if lit_s is None else (
+            "for how long there was light (run.json), each pattern when it was due"
+        )  # fmt: skip
+        time_s = np.arange(0.0, min(end_s, np.inf if lit_s is None else lit_s), _STEP_S)
+        pattern = np.zeros(len(time_s), np.int64)
+        if lit_s is not None and lit_s < end_s:
+            time_s, pattern = np.append(time_s, lit_s), np.append(pattern, -1)
+    if not len(time_s) or time_s[-1] < end_s:
+        time_s, pattern = np.append(time_s, end_s), np.append(pattern, pattern[-1:] if len(pattern) else [-1])
+    middle = (time_s + np.append(time_s[1:], time_s[-1:])) / 2
+    angle = np.interp(middle, times[order], turned[order])
+    if patterns is not None and not log.exists():
+        due = np.rint((angle - patterns.angles_rad[0]) / patterns.step_rad).astype(np.int64) % len(patterns.levels)
+        pattern = np.where(pattern >= 0, due, -1)
+    lit = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (pattern[:-1] >= 0))])
+    return Light(source, patterns, None if patterns is None else Shown(time_s, pattern, angle), time_s, lit)
+
+
+def _logged(path: Path) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    """Return when patterns appeared, and which; a line that was cut short by a kill is left out."""
+    time_s, pattern = [], []
+    whole, _, _ = path.read_text(encoding="ascii").rpartition("\n")
+    for row in csv.DictReader(whole.splitlines()):
+        if row["shown_s"]:
+            time_s.append(float(row["shown_s"]))
+            pattern.append(int(row["shown"]))
+    return np.array(time_s), np.array(pattern, np.int64)
+
+
+def _known_lit_s(run: Path) -> float | None:
+    if not (run / "run.json").exists():
+        return None
+    printed = read_json(run / "run.json").get("printed") or {}
+    return None if printed.get("lit_s") is None else float(printed["lit_s"])
