@@ -118,6 +118,14 @@ def test_what_is_refused_is_shown(folder: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "new.toml").exists()
 
 
+def test_a_profile_of_a_wrong_scale_is_told(folder: Path, tmp_path: Path) -> None:
+    result = calibrate_threshold(
+        [Standard(folder / "small.h5", folder / "small.npy")], folder / "rig.toml", tmp_path / "new.toml",
+        options=StandardOptions(1.05 * PIXEL_MM, Settings(voxel_mm=0.155)),
+    )  # fmt: skip
+    assert any("check --profile-pixel-mm" in note for note in result["notes"])
+
+
 def test_heights_are_read_from_csv_and_tiff_as_from_npy(tmp_path: Path) -> None:
     from PIL import Image
 

@@ -112,6 +112,12 @@ class RimThreshold:
         return 2 * self.spread / self.slope_per_mm
 
     @property
+    def level(self) -> float:
+        """Share of the contrast at which the threshold lies."""
+        seen = self.overhead
+        return (self.threshold - seen.outside) / (seen.inside - seen.outside)
+
+    @property
     def blur_std_mm(self) -> float:
         """Standard deviation of the Gaussian by which the edge is blurred, from its slope."""
         return _blur_std(self.overhead, self.slope_per_mm)
@@ -171,8 +177,7 @@ def rim_threshold(seen: Overhead, radius_mm: float, radius_std_mm: float = 0.0, 
     step = voxel / 2
     inner, outer = (ring(seen, circle.x_mm, circle.y_mm, radius_mm + side * step).mean() for side in (-1, 1))
     slope = float(inner - outer) / (2 * step)
-    contrast = seen.inside - seen.outside
-    level = (float(around.mean()) - seen.outside) / contrast
+    level = (float(around.mean()) - seen.outside) / (seen.inside - seen.outside)
     if not 0.05 < level < 0.95 or slope <= 0:
         raise InputError(
             where, f"is {circle.diameter_mm:.3f} mm wide where it scatters half as much as within, but "

@@ -213,6 +213,7 @@ def _details(one: _Found, factor: float) -> dict[str, Any]:
             "centre_mm": [circle.x_mm, circle.y_mm],
             "bottom_mm": result.overhead.bottom_mm,
             "top_mm": result.overhead.top_mm,
+            "share_of_contrast": result.level,
             "taper_mm": result.overhead.taper_mm,
             "diameter_std_mm": result.diameter_std_mm,
             "diameter_spread_mm": result.diameter_spread_mm,
@@ -251,6 +252,15 @@ def _notes(found: Sequence[_Found], conditions: ThresholdConditions) -> list[str
             f"Not known of the recording: {', '.join(unknown)}. The threshold is taken to hold for any; state them if "
             "they may change."
         )
+    for one in found:
+        # Gelled resin scatters more than liquid, and less than cured: far off the middle, a size may be wrong.
+        if isinstance(one.result, RimThreshold) and not 0.3 < one.result.level < 0.7:
+            half_mm = one.result.overhead.circle.diameter_mm
+            notes.append(
+                f"{one.standard.frames.name}: I_p lies at {one.result.level:.0%} of the contrast. At half of it the "
+                f"cylinder is {half_mm:.3f} mm wide, in the profile {2 * one.result.radius_mm:.3f} mm: if gelling does "
+                "not explain that, check --profile-pixel-mm and the rig's pixel_mm."
+            )
     if len(found) == 1:
         notes.append(
             "From one standard: what makes prints differ from each other is not in the uncertainty. Calibrate with "
