@@ -160,7 +160,7 @@ def test_starting_again_begins_numbers_anew() -> None:
 def test_a_camera_is_closed_from_any_state() -> None:
     link = PretendLink()
     camera = GenicamCamera(lambda: link, EIGHT_BITS, MonotonicClock())
-    with pytest.raises(DeviceError, match="is not grabbing"):
+    with pytest.raises(DeviceTimeoutError, match="is not grabbing"):
         camera.next_frame(0.01)
     with pytest.raises(DeviceError, match="frames/s"):
         camera.start(float("nan"))

@@ -120,8 +120,11 @@ class GenicamCamera:
         """Return the oldest frame not yet handed over."""
         with self._news:
             if not self._news.wait_for(lambda: self._arrived, timeout_s):
-                if self._thread is None or not self._thread.is_alive():
-                    raise DeviceError(self.name, self._trouble or "is not grabbing")
+                thread = self._thread
+                if thread is None:  # who takes the frames may be there before the camera is started
+                    raise DeviceTimeoutError(self.name, "is not grabbing")
+                if not thread.is_alive():
+                    raise DeviceError(self.name, self._trouble)
                 raise DeviceTimeoutError(self.name, self._trouble or f"no frame within {timeout_s:g} s")
             return self._arrived.popleft()
 
