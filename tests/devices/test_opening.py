@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from vialight.config import Rig
-from vialight.devices import MonotonicClock
+from vialight.devices import DeviceError, MonotonicClock, ProjectorProcess
 from vialight.devices.opening import names_devices, open_camera, open_stage
+from vialight.devices.projectors import list_monitors
 from vialight.errors import InputError
 
 CAMERA = {"pixel_mm": 0.155, "axis_column": 239.5, "optical_row": 149.5}
@@ -42,3 +46,36 @@ def test_opening_a_device_that_the_rig_does_not_name_says_which_drivers_there_ar
         open_camera(rig_naming(), MonotonicClock())
     with pytest.raises(InputError, match=r"\[stage\]: names no driver; accepted: .*pi"):
         open_stage(rig_naming(), MonotonicClock())
+
+
+@pytest.mark.parametrize(("module", "extra"), [("pipython", "pi"), ("glfw", "window"), ("moderngl", "window")])
+def test_driver_whose_library_is_not_installed_says_what_to_install(
+    module: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    opened = (lambda: open_stage(rig_naming("stage"), MonotonicClock())) if extra == "pi" else list_monitors
+    with pytest.raises(DeviceError, match=rf"needs {module}; install it: pip install 'vialight\[{extra}\]'"):
+        opened()
+
+
+class ClosedScreen:
+    """A screen that someone closes at once."""
+
+    refresh_hz = 60.0
+
+    def show(self, pattern: int | None) -> None:
+        pass
+
+    def tend(self) -> None:
+        raise DeviceError("projector", "its window was closed")
+
+    def close(self) -> None:
+        pass
+
+
+def test_projector_process_says_why_it_has_ended(tmp_path: Path) -> None:
+    projector = ProjectorProcess(ClosedScreen, MonotonicClock(), np.zeros(1), tmp_path, tmp_path / "log.csv")
+    projector._process.join(10.0)
+    with pytest.raises(DeviceError, match=r"^projector: its window was closed$"):
+        projector.shown()
+    projector.close()

@@ -11,14 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from devices.xvfb import COLUMNS, ROWS, Xvfb, needs_xvfb
 from twin.test_print import upright_cylinder
 from vialight.arrays import Grid
 from vialight.config import Projector, ProjectorSettings, Rig
 from vialight.devices import DeviceError, Lease, MonotonicClock, ProjectorProcess
-from vialight.devices.projectors import list_monitors, open_projector
+from vialight.devices.projectors import list_monitors, open_projector, told_of_projector
 from vialight.devices.projectors.curtain import draw_curtain
+from vialight.devices.projectors.levels import light_of_levels, sent_levels
 from vialight.devices.projectors.window import WindowScreen
 from vialight.errors import InputError
 from vialight.plan import Patterns, Plan
@@ -130,6 +132,33 @@ def test_window_that_someone_closes_is_told(screen: Xvfb) -> None:
         shown._glfw.set_window_should_close(shown._window, True)
         with pytest.raises(DeviceError, match="its window was closed"):
             shown.tend()
+
+
+def test_monitor_that_goes_is_told(screen: Xvfb) -> None:
+    """As GLFW has it: the window is left without a monitor."""
+    with window() as shown:
+        shown._glfw.set_window_monitor(shown._window, None, 0, 0, 100, 80, 0)
+        with pytest.raises(DeviceError, match="its monitor has gone"):
+            shown.tend()
+
+
+def test_measured_light_and_flat_field_decide_what_is_sent(screen: Xvfb, tmp_path: Path) -> None:
+    flat = np.full((ROWS, COLUMNS), 255, np.uint8)
+    flat[:, 60:] = 128
+    Image.fromarray(flat).save(tmp_path / "flat.png")
+    measured = ((0.0, 0.0), (128.0, 1.0), (255.0, 4.0))
+    settings = ProjectorSettings(linearisation=measured, flat_field="flat.png")
+    table = TABLE.model_copy(update={"settings": settings})
+    wanted = np.zeros((ROWS, COLUMNS), np.uint8)
+    at = (slice(CORNER[0], CORNER[0] + 50), slice(CORNER[1], CORNER[1] + 71))
+    wanted[at] = sent_levels(PATTERNS[3], light_of_levels(measured), (flat[at] / np.float32(255)).astype(np.float32))
+    with projector(tmp_path, table) as shown:
+        deadline = time.monotonic() + 5.0
+        while not (screen.pixels() == wanted[..., None]).all():
+            assert time.monotonic() < deadline
+            shown.renew(lease(ANGLES[3]))
+            time.sleep(0.01)
+    assert "the flat field takes 0 to 50 % of the light" in told_of_projector(table, tmp_path)[1]
 
 
 def test_projector_shows_what_is_due_and_is_black_when_its_lease_has_run_out(screen: Xvfb, tmp_path: Path) -> None:

@@ -90,10 +90,14 @@ class WindowScreen:
         self._context.finish()  # without, it returns a refresh before
 
     def tend(self) -> None:
-        """Answer the window system; `DeviceError` where someone has closed the window."""
+        """Answer the window system; `DeviceError` where the window is not what it was."""
         self._glfw.poll_events()
         if self._glfw.window_should_close(self._window):
             raise DeviceError("projector", "its window was closed")
+        if not self._glfw.get_window_monitor(self._window):
+            raise DeviceError("projector", "its monitor has gone", "connect it, and switch it on")
+        if (size := self._glfw.get_framebuffer_size(self._window)) != self._size:
+            raise DeviceError("projector", f"its monitor shows {size[0]} x {size[1]} pixels all of a sudden")
 
     def close(self) -> None:
         """Take the window away."""
