@@ -180,7 +180,7 @@ class _Scan:
         self._image: CameraImage | None = None
         log = EventLog(out.with_suffix(".log.jsonl"), self._clock)
         rate_hz = settings.frame_rate_hz
-        self._recorder = Recorder(self._camera, self._clock, rate_hz, self._track.angle_at, log, self._see)
+        self._recorder = Recorder(self._camera, self._clock, rate_hz, self._track.settled_angle_at, log, self._see)
         self._camera.start(rate_hz)
         self._recorder.start()
         stack.callback(self._recorder.close)

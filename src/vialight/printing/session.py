@@ -192,7 +192,12 @@ class _Session:
         self._camera_box = Mailbox(mailboxes / "camera", 2**16 + 2 * int(np.prod(devices.camera.image_shape)))
         self._status_box = Mailbox(mailboxes / "status", 2**16)
         self._recorder = Recorder(
-            devices.camera, devices.clock, settings.frame_rate_hz, self._track.angle_at, self._log, self._show_frame
+            devices.camera,
+            devices.clock,
+            settings.frame_rate_hz,
+            self._track.settled_angle_at,
+            self._log,
+            self._show_frame,
         )
         checks = {"camera": self._recorder.camera_fault, "disk": self._recorder.disk_fault, "live": watcher.fault}
         self._light = LightKeeper(devices, self._track, rig.stage.direction, self._speed, checks, self._log)

@@ -14,6 +14,10 @@ _KEPT = 400
 _ASK_S, _ANSWER_S = 0.025, 0.2
 _SPEED_OVER_S = 0.12
 """Speed is that of the positions over this time: short enough to see a stall, long enough for an encoder's steps."""
+_WAIT_S = 0.1
+"""By the wall clock, for a position newer than a frame."""
+_SILENT_S = 0.5
+"""After which none is waited for."""
 
 
 class StageTrack:
@@ -30,13 +34,14 @@ class StageTrack:
 
     def __init__(self) -> None:
         self._positions: deque[StagePosition] = deque(maxlen=_KEPT)
-        self._lock = threading.Lock()
+        self._lock = threading.Condition()
 
     def add(self, position: StagePosition) -> None:
         """Take a position; one that is not newer than the last is left out."""
         with self._lock:
             if not self._positions or position.time_s > self._positions[-1].time_s:
                 self._positions.append(position)
+                self._lock.notify_all()
 
     def newest(self) -> StagePosition | None:
         """Return the last position; None before the first."""
@@ -52,6 +57,17 @@ class StageTrack:
         if time_s < times[0]:
             return float(angles[0] + (angles[1] - angles[0]) / (times[1] - times[0]) * (time_s - times[0]))
         return float(angles[-1] + self.speed_rad_s() * (time_s - times[-1]))
+
+    def settled_angle_at(self, time_s: float) -> float:
+        """Return the angle at a time just past, once the stage has told a position after it; rad.
+
+        A frame comes before the stage is asked again.  Beyond the last position its angle would hang on the speed,
+        which is known the worse the more the times of positions jitter.
+        """
+        with self._lock:
+            if self._positions and time_s - self._positions[-1].time_s < _SILENT_S:
+                self._lock.wait_for(lambda: self._positions[-1].time_s >= time_s, _WAIT_S)
+        return self.angle_at(time_s)
 
     def speed_rad_s(self) -> float:
         """Return the speed over the last tenth of a second; NaN before there are two positions."""

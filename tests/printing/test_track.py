@@ -1,0 +1,41 @@
+"""Where the stage was when a frame was exposed."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+
+from vialight.devices import StagePosition
+from vialight.printing import StageTrack
+
+SPEED = float(np.radians(20.0))
+
+
+def test_angle_of_a_frame_waits_for_the_position_after_it() -> None:
+    track = StageTrack()
+    for k in range(5):  # told with jitter, so that the speed is known badly
+        time_s = 0.025 * k
+        track.add(StagePosition(SPEED * time_s, time_s + (0.01 if k == 4 else 0.0)))
+
+    def tell_later() -> None:
+        time.sleep(0.02)
+        track.add(StagePosition(SPEED * 0.15, 0.15))
+
+    teller = threading.Thread(target=tell_later)
+    teller.start()
+    angle = track.settled_angle_at(0.14)
+    teller.join()
+    assert angle == track.angle_at(0.14)
+    assert abs(angle - SPEED * 0.14) < SPEED * 0.01
+
+
+def test_angle_of_a_frame_does_not_wait_for_a_stage_that_is_silent() -> None:
+    track = StageTrack()
+    assert np.isnan(track.settled_angle_at(1.0))
+    for k in range(3):
+        track.add(StagePosition(SPEED * 0.1 * k, 0.1 * k))
+    begin = time.monotonic()
+    assert track.settled_angle_at(5.0) == track.angle_at(5.0)
+    assert time.monotonic() - begin < 0.09
