@@ -134,7 +134,7 @@ def kinetics_command(
     run: Path, at: tuple[float, float, float], radius: float, out: Path | None, plan: Path | None,
     reference: Path | None, tolerance: float | None, threshold: float | None, voxel: float | None, as_json: bool,
 ) -> None:  # fmt: skip
-    r"""Tell density and dose over time at a place of a RUN, when matter gelled, and where and when it began to fail.
+    """Tell density and dose over time at a place of a RUN, when matter gelled, and where and when it began to fail.
 
     \b
     Example:
