@@ -147,13 +147,28 @@ def test_stop_that_is_none_is_refused(tmp_path: Path) -> None:
     assert "accepted: auto, manual, turns=N" in told.output
 
 
-def test_options_of_the_simulated_printer_are_refused_where_the_rig_names_real_devices(tmp_path: Path) -> None:
-    plan, rig = write_quick_plan(tmp_path)
+def print_on_instruments(folder: Path, *options: str) -> Any:
+    """Try to print where the rig names real devices, none of which are there."""
+    plan, rig = write_quick_plan(folder)
+    text = rig.read_text()
     for table, driver in (("camera", "aravis"), ("stage", "pi"), ("projector", "window")):
-        rig.write_text(rig.read_text().replace(f"[{table}]\n", f'[{table}]\ndriver = "{driver}"\n'))
-    command = ["print", str(plan), "--rig", str(rig), "--out", str(tmp_path / "run")]
-    for option in (["--rate", "4"], ["--bin", "2"]):
-        told = CliRunner().invoke(main, command + option)
-        assert told.exit_code == 2
-        assert "the rig names real devices" in told.output
+        text = text.replace(f"[{table}]\n", f'[{table}]\ndriver = "{driver}"\n')
+    rig.write_text(text + '[camera.settings]\ndevice = "there is none"\n')
+    return CliRunner().invoke(main, ["print", str(plan), "--rig", str(rig), "--out", str(folder / "run"), *options])
+
+
+@pytest.mark.parametrize("option", [("--rate", "4"), ("--bin", "2")])
+def test_options_of_the_simulated_printer_are_refused_where_the_rig_names_real_devices(
+    option: tuple[str, str], tmp_path: Path
+) -> None:
+    told = print_on_instruments(tmp_path, *option)
+    assert told.exit_code == 2
+    assert "the rig names real devices" in told.output
+    assert not (tmp_path / "run").exists()
+
+
+def test_print_whose_instruments_are_not_there_leaves_no_folder(tmp_path: Path) -> None:
+    told = print_on_instruments(tmp_path, "--stop", "manual")
+    assert told.exit_code == 1
+    assert told.output.splitlines()[-1].startswith("vialight: camera")
     assert not (tmp_path / "run").exists()

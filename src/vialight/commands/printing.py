@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -163,7 +163,9 @@ def print_part(
     if model is not None:
         write_json(run / REHEARSAL, model.to_json())
     on_step("starting the printer")
-    with job.printer(run) as printer, contextlib.ExitStack() as stack:
+    with _folder_only_if_it_starts(run):
+        opened = job.printer(run)
+    with opened as printer, contextlib.ExitStack() as stack:
         for told in printer.told:
             on_step(told)
         if serve:
@@ -184,6 +186,16 @@ def print_part(
     result |= _measured(run, live.tolerance_mm, 360 / job.rig.stage.speed_deg_s)
     write_json(run / RUN, result)
     return result
+
+
+@contextlib.contextmanager
+def _folder_only_if_it_starts(run: Path) -> Iterator[None]:
+    """Take the run's folder away where the printer does not start: nothing has happened, and it is tried again."""
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(run, ignore_errors=True)
+        raise
 
 
 def _measured(run: Path, tolerance_mm: float | None, turn_s: float) -> dict[str, Any]:
