@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -142,8 +141,8 @@ def _kernel(depth: int) -> Callable[..., None]:
                     for ix in range(len(x)):
                         total[n, y_start + iy, x_start + ix] = sums[(iy * len(x) + ix) * depth + n]
 
-    kernel: Any = run
-    return kernel  # type: ignore[no-any-return]
+    kernel: Callable[..., None] = run
+    return kernel
 
 
 _KERNELS = {depth: _kernel(depth) for depth in (_FEW_SLICES, _MANY_SLICES)}
