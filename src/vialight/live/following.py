@@ -23,7 +23,7 @@ from vialight.links import CameraImage, Mailbox, Snapshot, StopForecast, leave_i
 from vialight.live.analysis import region_of
 from vialight.live.lit_time import LitTime
 from vialight.live.sharing import SharedVolume
-from vialight.live.window import SlidingWindow, WindowState
+from vialight.live.window import SlidingWindow, WindowState, compile_kernels
 from vialight.mesh import Mesh
 from vialight.store import FrameTail
 
@@ -94,6 +94,7 @@ def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
         settings.rig, tail.image_shape, settings.frames_per_turn, dark=tail.dark, threshold=settings.threshold,
         voxel_mm=settings.voxel_mm,
     )  # fmt: skip
+    compile_kernels()  # frames wait for it otherwise, for seconds on a busy machine
     follower = _Follower(settings, window)
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -113,7 +113,7 @@ def row_taps(rows: FloatArray, share: FloatArray, height: int) -> tuple[NDArray[
     return taps.astype(np.int32), (weights * share[..., None]).astype(np.float32)
 
 
-@njit(inline="always")
+@njit(inline="always", cache=True)  # `streaming` calls it by itself, too
 def spline_coefficients(frame: Float32Array) -> None:
     """Turn samples along rows into cubic B-spline coefficients in place, mirrored at the ends (Unser 1999, box 2)."""
     height, columns = frame.shape
