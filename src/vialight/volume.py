@@ -123,7 +123,7 @@ def reconstruct_climbing(
     tilt_per_mm, beam, x_mm, y_mm, z_mm, filter_name
         As for `reconstruct_tilted`.
     radius_mm
-        Of the rays' field; beyond it the volume is zero.
+        Of the rays' field; beyond it nothing is taken to scatter, and nothing is wanted.
 
     Returns
     -------
@@ -138,9 +138,7 @@ def reconstruct_climbing(
     first = round((z_mm[0] - mid_height_mm[0]) / (mid_height_mm[1] - mid_height_mm[0]))
     wanted = np.ascontiguousarray(columns[..., first : first + len(z_mm)])
     level = project_tilted(wanted, psi, s, flat, z_mm, x_mm, y_mm)
-    found = reconstruct_tilted(
-        unexplained, beam, mid_height_mm, tilt_per_mm, x_mm, y_mm, z_mm, filter_name=filter_name
-    )  # fmt: skip
+    found = reconstruct_tilted(unexplained, beam, mid_height_mm, tilt_per_mm, x_mm, y_mm, z_mm, filter_name=filter_name)
     return found + reconstruct_slices(level, beam, x_mm, y_mm, filter_name=filter_name, radius_mm=radius_mm)
 
 
