@@ -1,15 +1,17 @@
 """Compute light patterns by vialight and by other packages, judge all by one scorer, and print tables.
 
-Usage: ``python benchmarks/planning.py [--short] [--markdown docs/benchmarks-planning.md] [--peers FOLDER]``.  Packages
-that are not installed (see `planning_peers`) get rows that say so.  They take hours, so what they made is kept in
-FOLDER, and read from there the next time.
+Usage: ``python benchmarks/planning.py [--short] [--markdown docs/benchmarks-planning.md] [--peers FOLDER]
+[--peer-python PYTHON] [--only-peers]``.  The other packages may live in an environment of their own (see
+`planning_peers`), whose interpreter is PYTHON; one that is not there gets rows that say so.  They take an hour, so what
+they made is kept in FOLDER, and read from there the next time.  `--only-peers` fills FOLDER and judges nothing.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
-import importlib.util
+import itertools
+import json
 import os
 import platform
 import re
@@ -20,14 +22,15 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from judge import dose_in_ideal_printer
 from numpy.typing import NDArray
-from planning_peers import DRTVAM_STEPS, PACKAGES, VAM_ITERATIONS, is_installed
+from planning_peers import DRTVAM_STEPS, PACKAGES, VAM_ITERATIONS
 
 from vialight.arrays import Float32Array, Grid
 from vialight.mesh import Mesh, load_mesh
@@ -85,9 +88,55 @@ class Result:
     score: Score
     seconds: list[float] = field(default_factory=list)
     processor_seconds: list[float] = field(default_factory=list)
+    circumstances: str = ""
 
 
-def parts(short: bool) -> Iterator[Part]:
+@dataclass(frozen=True)
+class Peers:
+    """Where other packages are, and where what they make is kept."""
+
+    python: str
+    folder: Path
+
+    @cached_property
+    def _here(self) -> dict[str, Any]:
+        told = subprocess.run([self.python, _PEERS_PROGRAM], check=True, capture_output=True, text=True).stdout
+        return dict(json.loads(told))
+
+    @property
+    def bunny(self) -> Path | None:
+        """The mesh that pymeshlab brings."""
+        return Path(self._here["bunny"]) if self._here["bunny"] else None
+
+    def can_run(self, name: str) -> bool:
+        """Whether a method's package is there."""
+        return name in self._here["methods"]
+
+    def made(self, part: Part, name: str) -> Path | None:
+        """Return what a method made of a part, now or an earlier time; None where it does not run."""
+        made = self.folder / f"{part.name}.{part.digest}.{name}.npz"
+        if made.exists():
+            return made
+        if not self.can_run(name):
+            return None
+        case = self.folder / f"{part.name}.{part.digest}.case.npz"
+        np.savez(
+            case, inside=part.inside, voxel_mm=part.grid.voxel_mm, vertices_mm=part.mesh.vertices_mm,
+            faces=part.mesh.faces, angles=part.angles,
+        )  # fmt: skip
+        try:
+            subprocess.run([self.python, _PEERS_PROGRAM, name, case, made], check=True, timeout=PEER_LIMIT_S,
+                           stderr=subprocess.PIPE)  # fmt: skip
+        except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
+            print(f"{name} on {part.name}: {error} {(error.stderr or b'')[-2000:].decode()}", file=sys.stderr)
+            return None
+        return made
+
+
+_PEERS_PROGRAM = Path(__file__).with_name("planning_peers.py")
+
+
+def parts(short: bool, bunny: Path | None) -> Iterator[Part]:
     """Yield the parts that there are, centred, as large as the grid allows."""
     across, angles = (SHORT_ACROSS, SHORT_ANGLES) if short else (ACROSS, ANGLES)
     if short:
@@ -99,15 +148,8 @@ def parts(short: bool) -> Iterator[Part]:
     yield _part("gyroid", gyroid(), across, angles)
     yield _part("bracket", bracket(), across, angles)
     yield _part("thin wall box", thin_wall_box(), across, angles)
-    if found := importlib.util.find_spec("pymeshlab"):
-        assert found.origin
-        yield _part(
-            "bunny",
-            load_mesh(Path(found.origin).parent / "tests/sample_meshes/bunny.obj"),
-            across,
-            angles,
-            size_mm=12.0,
-        )
+    if bunny:
+        yield _part("bunny", load_mesh(bunny), across, angles, size_mm=12.0)
 
 
 def _part(
@@ -179,27 +221,14 @@ def own_results(part: Part, rounds: int) -> dict[str, Result]:
     return results
 
 
-def peer_result(part: Part, name: str, folder: Path) -> Result | None:
-    """Run a method of another package in a new process, or read what it made before; None where it does not run."""
-    made = folder / f"{part.name}.{part.digest}.{name}.npz"
-    if not made.exists():
-        if not is_installed(name):
-            return None
-        case = folder / f"{part.name}.{part.digest}.case.npz"
-        np.savez(
-            case, inside=part.inside, voxel_mm=part.grid.voxel_mm, vertices_mm=part.mesh.vertices_mm,
-            faces=part.mesh.faces, angles=part.angles,
-        )  # fmt: skip
-        program = Path(__file__).with_name("planning_peers.py")
-        try:
-            subprocess.run([sys.executable, program, name, case, made], check=True, timeout=PEER_LIMIT_S,
-                           stderr=subprocess.PIPE)  # fmt: skip
-        except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
-            print(f"{name} on {part.name}: {error}", file=sys.stderr)
-            return None
+def peer_result(part: Part, name: str, peers: Peers) -> Result | None:
+    """Judge what a method of another package makes; None where it does not run."""
+    made = peers.made(part, name)
+    if made is None:
+        return None
     with np.load(made) as held:
         spent = ([float(held["seconds"])], [float(held["processor_seconds"])])
-        return Result(judge(held["patterns"], part), *spent)
+        return Result(judge(held["patterns"], part), *spent, str(held["circumstances"]))
 
 
 def part_table(part: Part, results: dict[str, Result | None]) -> list[str]:
@@ -210,7 +239,7 @@ def part_table(part: Part, results: dict[str, Result | None]) -> list[str]:
     ]
     for name, result in results.items():
         if result is None:
-            lines.append(f"| {name} | {'not run' if is_installed(name) else 'not installed'} | | | | | |")
+            lines.append(f"| {name} | not run | | | | | |")
             if part.name == "boat" and name in QUOTED:
                 jaccard, dose_range, seconds = QUOTED[name]
                 told = "" if dose_range is None else f"{dose_range:.3f}"
@@ -318,20 +347,15 @@ def _timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-@cache
 def machine() -> str:
     """Say what the figures were measured on."""
     model = platform.processor() or platform.machine()
     if (cpuinfo := Path("/proc/cpuinfo")).exists():
         model = next(iter(re.findall(r"model name\s*: (.*)", cpuinfo.read_text())), model)
-    modules = {"drtvam": "drtvam", "mitsuba": "mitsuba", "astra-toolbox": "astra"}
-    present = ["numpy", "numba", "scipy"] + [
-        name for name, module in modules.items() if importlib.util.find_spec(module)
-    ]
     return (
         f"{model}, {len(os.sched_getaffinity(0))} of {os.cpu_count()} cores, load of the last minute "
         f"{os.getloadavg()[0]:.1f} before the run. {platform.system()}, Python {platform.python_version()}, "
-        + ", ".join(f"{name} {version(name)}" for name in present)
+        + ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba", "scipy"))
         + "."
     )
 
@@ -343,11 +367,10 @@ How to read it:
   it rounds patterns to 8 bits, shows them as square pixels for as long as they are held, by parallel light in a resin
   that absorbs nothing, and averages 3 x 3 points in each voxel. Dose range, window and error rate are as in the
   reference: over the largest in-part dose.
-- Seconds are the best of {ROUNDS} rounds for vialight, after a start that does not count, and of one run for others;
-  all had both cores, but other work shared them, so that processor seconds, of all threads together, are the fairer
-  measure. VAMToolbox computes on one core. Dr.TVAM's include that it makes voxels of the mesh and saves pictures.
-- What the others made may be of an earlier run than vialight's figures, on a busier machine (`--peers`): a speed is
-  met where seconds and processor seconds both say so. "Not installed" is said of the interpreter of this run.
+- Seconds are the best of {ROUNDS} rounds for vialight, after a start that does not count, and of one run for others,
+  made before and under the circumstances told below their table: a priority of 19 gives way to all other work, which
+  seconds then include. Processor seconds, of all threads together, are the measure to compare; a speed is met where
+  both say so. VAMToolbox computes on one core. Dr.TVAM's include that it makes voxels of the mesh and saves pictures.
 - VAMToolbox and vialight compute half a turn (opposite patterns are mirror images); Dr.TVAM optimises a full one.
   VAMToolbox: its projector for processors (ASTRA), default thresholds, {VAM_ITERATIONS} iterations of each method.
   Dr.TVAM: its defaults, {DRTVAM_STEPS} steps of L-BFGS, 4 rays a pixel.
@@ -356,30 +379,31 @@ How to read it:
 """
 
 
-def report(short: bool, folder: Path) -> str:
+def report(short: bool, peers: Peers) -> str:
     """Measure everything and return it as Markdown."""
     host, rounds = machine(), SHORT_ROUNDS if short else ROUNDS
     found: dict[str, dict[str, Result | None]] = {}
     sections: list[str] = []
     first: Part | None = None
-    for part in parts(short):
+    for part in parts(short, peers.bunny):
         first = first or part
-        peers = {name: peer_result(part, name, folder) for name in PACKAGES}
-        found[part.name] = {**own_results(part, rounds), **peers}
+        others = {name: peer_result(part, name, peers) for name in PACKAGES}
+        found[part.name] = {**own_results(part, rounds), **others}
         shape = " x ".join(str(count) for count in part.grid.shape)
         sections += [
             f"## {part.name}",
             f"{shape} voxels of {part.grid.voxel_mm:.3f} mm, {int((part.inside >= 0.5).sum())} of them in the part, "
             f"{part.angles} angles.",
             "\n".join(part_table(part, found[part.name])),
+            "\n".join(told_of_peers(others)),
         ]
-        print("\n\n".join(sections[-3:]), file=sys.stderr, flush=True)
+        print("\n\n".join(sections[-4:]), file=sys.stderr, flush=True)
     assert first is not None
     large_s = None if short else seconds_for_large(rounds)
     command = shlex.join(["python", "benchmarks/planning.py", *sys.argv[1:]])
     sections = [
         "# Benchmarks of planning",
-        f"Made by `{command}`. {host}",
+        f"Made by `{command}` on {time.strftime('%Y-%m-%d', time.gmtime())}. {host}",
         *sections,
         "## Goals",
         "\n".join(goals_table(found, large_s)),
@@ -390,18 +414,32 @@ def report(short: bool, folder: Path) -> str:
     return "\n\n".join(sections) + "\n"
 
 
+def told_of_peers(others: dict[str, Result | None]) -> list[str]:
+    """Return under what circumstances other packages ran, methods of like circumstances together."""
+    alike: dict[str, list[str]] = {}
+    for name, result in others.items():
+        alike.setdefault("not run" if result is None else result.circumstances, []).append(name)
+    return [f"{', '.join(names)}: {told}.  " for told, names in alike.items()]
+
+
 def main() -> None:
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--short", action="store_true", help="two small parts and one round, for a quick look")
     parser.add_argument("--markdown", type=Path, help="also write the tables to this file")
     parser.add_argument("--peers", type=Path, help="where to keep what other packages made")
+    parser.add_argument("--peer-python", default=sys.executable, help="interpreter that has the other packages")
+    parser.add_argument("--only-peers", action="store_true", help="let the other packages run, and judge nothing")
     options = parser.parse_args()
     _keep_to_cores()
     with tempfile.TemporaryDirectory() as scratch:
-        folder = options.peers or Path(scratch)
-        folder.mkdir(parents=True, exist_ok=True)
-        text = report(options.short, folder)
+        peers = Peers(options.peer_python, options.peers or Path(scratch))
+        peers.folder.mkdir(parents=True, exist_ok=True)
+        if options.only_peers:
+            for part, name in itertools.product(list(parts(options.short, peers.bunny)), PACKAGES):
+                peers.made(part, name)
+            return
+        text = report(options.short, peers)
     print(text)
     if options.markdown:
         options.markdown.write_text(text, encoding="utf-8")

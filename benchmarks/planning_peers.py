@@ -1,12 +1,14 @@
 """Light patterns by other packages, each in a process of its own and as its examples call it.
 
-Usage: ``python benchmarks/planning_peers.py METHOD CASE.npz OUT.npz``, started by `planning`.  A case holds ``inside``
-(z, y, x), ``voxel_mm``, the mesh as ``vertices_mm`` and ``faces``, and ``angles`` in a full turn; what comes out are
-``patterns`` (angle, row, column) in floats, ordered as vialight's, with ``seconds`` and ``processor_seconds``, of all
-threads together, that the optimisation took.
+Usage: ``python benchmarks/planning_peers.py METHOD CASE.npz OUT.npz``, started by `planning` with the interpreter that
+has the packages; without arguments it says which are there.  A case holds ``inside`` (z, y, x), ``voxel_mm``, the mesh
+as ``vertices_mm`` and ``faces``, and ``angles`` in a full turn; what comes out are ``patterns`` (angle, row, column) in
+floats, ordered as vialight's, with ``seconds`` and ``processor_seconds``, of all threads together, that the
+optimisation took, and under what ``circumstances``.
 
-VAMToolbox is not on the package index: put a copy on ``PYTHONPATH``.  Dr.TVAM needs ``drtvam`` and, for its LLVM
-backend, ``DRJIT_LIBLLVM_PATH`` where that is not found by itself.
+Nothing of vialight is needed here.  VAMToolbox is not on the package index: put a copy on ``PYTHONPATH``; it projects
+with ``astra-toolbox``.  Dr.TVAM is ``drtvam``, and needs ``DRJIT_LIBLLVM_PATH`` where a libLLVM is not found by itself.
+``pymeshlab`` brings the bunny.
 """
 
 from __future__ import annotations
@@ -14,9 +16,12 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
+import json
+import os
 import sys
 import tempfile
 import time
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -36,10 +41,28 @@ PACKAGES = {
 """What has to be importable for each method."""
 
 
-def is_installed(method: str) -> bool:
-    """Whether a method's package, and what it projects with, are there."""
-    needed = [PACKAGES[method]] + (["astra", "skimage"] if method.startswith("VAM") else ["mitsuba"])
-    return all(importlib.util.find_spec(name) for name in needed)
+def what_is_here() -> dict[str, Any]:
+    """Return the methods that this interpreter can run, and where the bunny's mesh is, None without one."""
+    needs = {"vamtoolbox": ("vamtoolbox", "astra", "skimage"), "drtvam": ("drtvam", "mitsuba")}
+    found = importlib.util.find_spec("pymeshlab")
+    return {
+        "methods": [name for name, package in PACKAGES.items() if all(map(importlib.util.find_spec, needs[package]))],
+        "bunny": None if found is None else str(Path(str(found.origin)).parent / "tests/sample_meshes/bunny.obj"),
+    }
+
+
+def circumstances(package: str) -> str:
+    """Say when this runs, on what, with which packages, and how busy the machine is."""
+    versions = [f"Python {sys.version.split()[0]}"]
+    for name in (package, "astra-toolbox" if package == "vamtoolbox" else "mitsuba", "numpy"):
+        try:
+            versions.append(f"{name} {version(name)}")
+        except PackageNotFoundError:  # a copy on the path
+            versions.append(f"{name} {getattr(importlib.import_module(name), '__version__', '')}".strip())
+    return (
+        f"{time.strftime('%Y-%m-%d', time.gmtime())}, priority {os.nice(0)}, load {os.getloadavg()[0]:.1f}, "
+        + ", ".join(versions)
+    )
 
 
 def vamtoolbox(method: str, case: dict[str, NDArray[Any]]) -> dict[str, Any]:
@@ -141,13 +164,19 @@ def _write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
 
 
 def main() -> None:
-    """Run one method on one case."""
+    """Run one method on one case, or say which there are."""
+    if len(sys.argv) == 1:
+        print(json.dumps(what_is_here()))
+        return
     method, case_path, out_path = sys.argv[1:]
     with np.load(case_path) as saved:
         case = dict(saved)
     with contextlib.redirect_stdout(sys.stderr):
         found = drtvam(case) if PACKAGES[method] == "drtvam" else vamtoolbox(method.split()[1], case)
-    np.savez(out_path, **found)
+    # Under another name until it is whole: what is there is not computed again.
+    with Path(f"{out_path}.part").open("wb") as part:
+        np.savez(part, circumstances=circumstances(PACKAGES[method]), **found)
+    Path(f"{out_path}.part").rename(out_path)
 
 
 if __name__ == "__main__":

@@ -82,15 +82,28 @@ def test_the_circle_in_the_grid_is_judged() -> None:
     assert judged.mean() == pytest.approx(np.pi / 4, rel=0.01)
 
 
+PARALLEL = Rig.model_validate({
+    "geometry": "parallel",
+    "projector": {"distance_mm": 100.0, "pixel_mm": 0.065, "columns": 1024, "rows": 768, "axis_column": 511.5,
+                  "azimuth_deg": 20.0},
+})  # fmt: skip
+
+
+@pytest.mark.parametrize("subvoxels", [2, 3])
+def test_a_pattern_is_held_as_long_before_its_angle_as_after(subvoxels: int) -> None:
+    """One pattern of eight, at azimuth 0: its light is alike on both sides of y = 0."""
+    images = np.zeros((8, 60, 200), np.int64)
+    images[0, :, 130:150] = 255
+    upright = PARALLEL.model_copy(update={"projector": PARALLEL.need_projector().model_copy(update={"azimuth_deg": 0})})
+    dose = dose_of_patterns(patterns_of(images), upright, Grid((2, 30, 30), 0.2), subvoxels=subvoxels)
+    assert dose.any()
+    np.testing.assert_allclose(dose, dose[:, ::-1], atol=1e-5 * float(dose.max()))
+
+
 def test_white_patterns_without_vial_or_absorption_bring_one_constant() -> None:
     images = np.full((8, 60, 200), 255)
-    parallel = Rig.model_validate({
-        "geometry": "parallel",
-        "projector": {"distance_mm": 100.0, "pixel_mm": 0.065, "columns": 1024, "rows": 768, "axis_column": 511.5,
-                      "azimuth_deg": 20.0},
-    })  # fmt: skip
     grid = Grid((5, 20, 20), 0.2)
-    for rig in (parallel, printer_without_glass(0.0)):
+    for rig in (PARALLEL, printer_without_glass(0.0)):
         dose = dose_of_patterns(patterns_of(images, 0.01), rig, grid)
         np.testing.assert_allclose(dose[:, 5:15, 5:15], 2 * np.pi * 255 * 0.01, rtol=1e-4)
 

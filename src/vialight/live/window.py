@@ -19,10 +19,10 @@ from vialight.errors import InputError
 from vialight.links import Sums
 from vialight.live.schedule import Schedule
 from vialight.live.turn import LatestTurn
+from vialight.memory import aligned_zeros, padded_depth
 from vialight.pipeline import SLICES_A_BLOCK, field_radius_mm, grid_of_view
 from vialight.radon import FilterName, ramp_filter
 from vialight.radon.filters import filter_few, padded_filter
-from vialight.radon.memory import aligned_zeros, padded_depth
 from vialight.radon.updating import AxisSums, add_projections
 from vialight.radon.workers import Workers
 from vialight.sinogram import bin_frames, parallel_beam

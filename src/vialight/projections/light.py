@@ -94,6 +94,7 @@ def light_for(
         tilt_per_mm=tilt_at,
         z_mm=grid.z_mm if climbing else None,
         from_both_sides=True,
+        within_mm=float(positions[-1]),
     )
     return Light(geometry, projector_blur_mm, diffusion_mm)
 

@@ -9,7 +9,7 @@ from numba import njit, prange
 
 from vialight.arrays import FAST_MATH, Float32Array, FloatArray
 from vialight.errors import InputError
-from vialight.radon.memory import aligned_zeros
+from vialight.memory import aligned_zeros
 from vialight.radon.workers import Workers
 
 FilterName = Literal["ram-lak", "shepp-logan", "cosine", "hann"]

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 from vialight.arrays import FAST_MATH, Float32Array, FloatArray
-from vialight.radon.memory import aligned_zeros
+from vialight.memory import aligned_zeros
 from vialight.radon.taps import tap
 
 _TILE_ROWS, _TILE_COLUMNS = 32, 16

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from vialight.arrays import FAST_MATH, Float32Array, FloatArray, IntArray
-from vialight.radon.memory import aligned_zeros
+from vialight.memory import aligned_zeros
 from vialight.radon.taps import tap
 from vialight.radon.workers import Workers
 

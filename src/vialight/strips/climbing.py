@@ -5,8 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray
-from vialight.strips.shadows import shadow, shadow_before
+from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, IntArray
+from vialight.strips.level import (
+    ANGLES_A_JOB,
+    lowest_strip,
+    strips_seen,
+    strips_seen_at,
+    tile_at,
+    tiles_of,
+    voxels_seen,
+)
+from vialight.strips.shadows import TAPS, Int32Array, shadows, weaken
+from vialight.strips.sums import IDS, ROWS_A_PAIR, add_rows_to_two, add_shadows, fast, fill_up, list_by_strip
+
+_ANGLES_A_PASS = 2
+"""Angles summed before a voxel is written back: each counts twice, at the knots before and behind the voxel."""
 
 
 @njit(fastmath=FAST_MATH, cache=True)
@@ -25,137 +38,224 @@ def _stretch(z: int, drift: float, first_height: float, depth: int) -> tuple[int
     return offset, int(min(max(end, z + 1.0), float(depth)))
 
 
-@njit(fastmath=FAST_MATH, cache=True)
+@fast
 def _gather_climbing(
-    lit: Float32Array, light: Float32Array, weight: np.float32, drift: float, first_height: float
-) -> None:
-    """Add to each slice the light of the mid-height of its ray, linear between slices, the end ones going on."""
-    depth = len(lit)
+    rows: Float32Array, row: int, light: Float32Array, a: int, strip: int, weight: np.float32, drift: float,
+    first_height: float, ramp: Float32Array,
+) -> None:  # fmt: skip
+    """Add to each slice of a row the light of the mid-height of its ray, linear between slices, the end ones going on.
+
+    ``ramp`` is 0, 1, 2, ...: vectors hold no conversion of long integers to floats.
+    """
+    depth, one = light.shape[2], np.uint64(1)
     start = 0
     while start < depth:
         offset, end = _stretch(start, drift, first_height, depth)
         inner_start, inner_end = min(max(start, -offset), end), max(min(end, depth - 1 - offset), start)
         for z in range(start, inner_start):
-            lit[z] += weight * light[0]
+            rows[row, z] += weight * light[a, strip, 0]
         for z in range(max(inner_end, inner_start), end):
-            lit[z] += weight * light[depth - 1]
-        count = inner_end - inner_start
-        if count > 0:
-            here, below = lit[inner_start:inner_end], light[inner_start + offset : inner_end + offset]
-            above = light[inner_start + offset + 1 : inner_end + offset + 1]
-            share = np.float32(drift * (inner_start + first_height) - offset)
-            step = np.float32(drift)
-            for k in range(count):
-                high = share + step * np.float32(k)
-                here[k] += weight * (below[k] + high * (above[k] - below[k]))
+            rows[row, z] += weight * light[a, strip, depth - 1]
+        begin, below = np.uint64(inner_start), np.uint64(inner_start + offset)
+        share, step = np.float32(drift * (inner_start + first_height) - offset), np.float32(drift)
+        for k in range(np.uint64(max(inner_end - inner_start, 0))):
+            low, high = light[a, strip, below + k], light[a, strip, below + k + one]
+            rows[row, begin + k] += weight * (low + (share + step * ramp[k]) * (high - low))
         start = end
+
+
+@fast
+def _scatter_climbing(
+    light: Float32Array, a: int, strip: int, rows: Float32Array, row: int, weight: np.float32, drift: float,
+    first_height: float, ramp: Float32Array,
+) -> None:  # fmt: skip
+    """Transpose of `_gather_climbing`."""
+    depth, one = light.shape[2], np.uint64(1)
+    start = 0
+    while start < depth:
+        offset, end = _stretch(start, drift, first_height, depth)
+        inner_start, inner_end = min(max(start, -offset), end), max(min(end, depth - 1 - offset), start)
+        for z in range(start, inner_start):
+            light[a, strip, 0] += weight * rows[row, z]
+        for z in range(max(inner_end, inner_start), end):
+            light[a, strip, depth - 1] += weight * rows[row, z]
+        begin, below = np.uint64(inner_start), np.uint64(inner_start + offset)
+        share, step = np.float32(drift * (inner_start + first_height) - offset), np.float32(drift)
+        count = np.uint64(max(inner_end - inner_start, 0))
+        for k in range(count):
+            light[a, strip, below + k] += weight * (np.float32(1) - share - step * ramp[k]) * rows[row, begin + k]
+        for k in range(count):
+            light[a, strip, below + k + one] += weight * (share + step * ramp[k]) * rows[row, begin + k]
+        start = end
+
+
+@njit(inline="always")
+def _reach(c: float, s: float, x: float, y: float, voxel: float, height: int, width: int) -> tuple[float, float]:
+    """Return the least way past the axis that light has gone in a tile whose first voxel is at x, y; and the span."""
+    along_x, along_y = (width - 1) * voxel * s, (height - 1) * voxel * c
+    return x * s + y * c + min(0.0, along_x) + min(0.0, along_y), max(abs(along_x) + abs(along_y), 1e-6)
+
+
+@njit(inline="always")
+def _way(way: int, along: float, slope: float, absorption: float, both: bool) -> tuple[np.float32, float]:
+    """Return weight and drift of light that comes one way; its mean loss over both ways is put in at the voxels."""
+    side = 1 - 2 * way
+    shrink = 1 / (1 + side * along * slope)
+    share = 0.5 * (1 - side * np.tanh(absorption * along)) if both else 1.0
+    return np.float32(share * shrink), shrink - 1
 
 
 @njit(fastmath=FAST_MATH, cache=True)
-def _scatter_climbing(
-    seen: Float32Array, column: Float32Array, weight: np.float32, drift: float, first_height: float
+def _split(
+    count: int, row: int, first: Int32Array, weights: Float32Array, offset: float, step: float, knots: int, seen: int
 ) -> None:
-    """Transpose of `_gather_climbing`."""
-    depth = len(column)
-    start = 0
-    while start < depth:
-        offset, end = _stretch(start, drift, first_height, depth)
-        inner_start, inner_end = min(max(start, -offset), end), max(min(end, depth - 1 - offset), start)
-        for z in range(start, inner_start):
-            seen[0] += weight * column[z]
-        for z in range(max(inner_end, inner_start), end):
-            seen[depth - 1] += weight * column[z]
-        count = inner_end - inner_start
-        if count > 0:
-            here, below = column[inner_start:inner_end], seen[inner_start + offset : inner_end + offset]
-            above = seen[inner_start + offset + 1 : inner_end + offset + 1]
-            share = np.float32(drift * (inner_start + first_height) - offset)
-            step = np.float32(drift)
-            for k in range(count):
-                below[k] += weight * (np.float32(1) - share - step * np.float32(k)) * here[k]
-            for k in range(count):
-                above[k] += weight * (share + step * np.float32(k)) * here[k]
-        start = end
+    """Split the shares in ``weights[row]`` between the knots about each voxel, linearly along the light.
+
+    Parameters
+    ----------
+    count
+        Voxels.
+    row, first, weights
+        See `shadows`; ``weights[row + 1]`` is filled, and ``first[row]`` moved to the knot before the voxel.
+    offset, step
+        Where the first voxel is, in knots, and how far from one to the next.
+    knots, seen
+        How many there are, and how many strips at each.
+    """
+    for k in range(count):
+        at = min(max(np.float32(offset + k * step), np.float32(0)), np.float32(knots - 1))
+        knot = min(np.int32(at), np.int32(knots - 2))
+        far = at - np.float32(knot)
+        first[row, k] += knot * np.int32(seen)
+        for tap in range(TAPS):
+            weights[row + 1, tap, k] = far * weights[row, tap, k]
+            weights[row, tap, k] -= weights[row + 1, tap, k]
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def backproject(
-    projections: Float32Array,
-    cosine: FloatArray,
-    sine: FloatArray,
-    first: float,
-    voxel: float,
-    xs: FloatArray,
-    ys: FloatArray,
-    absorption: float,
-    tilt: FloatArray,
-    both: bool,
-    first_height: float,
+    tile: int, knots: int, projections: Float32Array, lit: IntArray, cosine: FloatArray, sine: FloatArray,
+    first: float, voxel: float, xs: FloatArray, ys: FloatArray, reached: IntArray, absorbed_x: Float32Array,
+    absorbed_y: Float32Array, tilt: Float32Array, absorption: float, both: bool, first_height: float, depth: int,
     dose: Float32Array,
-) -> None:
-    """Add to `dose` the light of all projections; lengths in strip widths, `first_height` in slices."""
-    angles, samples, depth = projections.shape
-    ways = 2 if both else 1
-    for iy in prange(len(ys)):
-        light = np.empty(depth, np.float32)
-        for a in range(angles):
-            for ix in range(len(xs)):
-                x, y = xs[ix], ys[iy]
-                middle, half_top, half_base, start, end = shadow(x, y, cosine[a], sine[a], first, voxel)
-                light[:] = 0
-                before = 0.0
-                for i in range(start, end + 1):
-                    until = shadow_before(i + 0.5 - middle, half_top, half_base)
-                    if 0 <= i < samples:
-                        share, strip = np.float32(until - before), projections[a, i]
-                        for z in range(depth):
-                            light[z] += share * strip[z]
-                    before = until
-                # Neighbouring strips climb alike: the middle one's tilt does for all.
-                along, slope = x * sine[a] + y * cosine[a], tilt[min(max(int(middle + 0.5), 0), samples - 1)]
-                for way in range(ways):
-                    side = 1 - 2 * way
-                    shrink = 1 / (1 + side * along * slope)
-                    weight = np.float32(np.exp(-absorption * side * along) * shrink / ways)
-                    _gather_climbing(dose[iy, ix], light, weight, shrink - 1, first_height)
+) -> None:  # fmt: skip
+    """Fill `dose` with the light of all projections; lengths in strip widths, `first_height` in slices.
+
+    What a strip's light has become by its climb is found at some knots along its way through every tile of voxels, and
+    is linear between them.
+
+    Parameters
+    ----------
+    knots
+        Two or more.
+    projections
+        (psi, strip, z).
+    tile, lit, cosine, sine, first, voxel, xs, ys, reached, absorbed_x, absorbed_y, tilt, both, dose
+        See `level.backproject`.
+    absorption
+        Per strip width.
+    first_height
+        Of the first slice, in slices.
+    depth
+        Slices in whole cache lines.
+    """
+    angles, _, slices = projections.shape
+    seen, ways, level = strips_seen(tile, voxel), 2 if both else 1, np.zeros((TAPS, tile), np.float32)
+    ramp = np.arange(slices).astype(np.float32)
+    for number in prange(tiles_of(tile, len(xs), len(ys))):
+        y0, x0, height, width = tile_at(number, tile, len(xs), len(ys))
+        sums = np.zeros((tile * tile, depth), np.float32)
+        at = np.zeros((2 * _ANGLES_A_PASS, tile), np.int32)
+        weights = np.zeros((2 * _ANGLES_A_PASS, TAPS, tile), np.float32)
+        rows, lows = np.zeros((_ANGLES_A_PASS * knots * seen, depth), np.float32), np.empty(_ANGLES_A_PASS, np.int64)
+        for a in range(0, angles, _ANGLES_A_PASS):
+            passed = min(_ANGLES_A_PASS, angles - a)
+            is_lit = False
+            for k in range(passed):
+                c, s = cosine[a + k], sine[a + k]
+                lows[k] = lowest_strip(xs[x0] * c - ys[y0] * s - first, c, s, voxel, height, width)
+                is_lit = is_lit or (lit[a + k, 1] > lows[k] and lit[a + k, 0] < lows[k] + seen)
+            if not is_lit:
+                continue
+            for k in range(passed):
+                c, s = cosine[a + k], sine[a + k]
+                near, span = _reach(c, s, xs[x0], ys[y0], voxel, height, width)
+                for strip in range(strips_seen_at(c, s, voxel, height, width)):
+                    i = lows[k] + strip
+                    for knot in range(knots):
+                        row = (k * knots + knot) * seen + strip
+                        rows[row] = 0
+                        if lit[a + k, 0] <= i < lit[a + k, 1]:
+                            for way in range(ways):
+                                along = near + span * knot / (knots - 1)
+                                weight, drift = _way(way, along, tilt[i], absorption, both)
+                                _gather_climbing(rows, row, projections, a + k, i, weight, drift, first_height, ramp)
+            weights[2 * passed :] = 0
+            for iy in range(height):
+                begin, end = max(reached[y0 + iy, 0], x0) - x0, min(reached[y0 + iy, 1], x0 + width) - x0
+                if begin >= end:
+                    continue
+                for k in range(passed):
+                    c, s, x, y = cosine[a + k], sine[a + k], xs[x0], ys[y0 + iy]
+                    near, span = _reach(c, s, xs[x0], ys[y0], voxel, height, width)
+                    shadows(width, x * c - y * s - first, c, s, voxel, k * knots * seen - lows[k], 2 * k, at, weights)
+                    if absorption:
+                        weaken(width, 2 * k, weights, absorbed_x, absorbed_y, a + k, x0, y0 + iy, 0.0, 0.0, level, both)
+                    a_knot = span / (knots - 1)
+                    _split(width, 2 * k, at, weights, (x * s + y * c - near) / a_knot, voxel * s / a_knot, knots, seen)
+                    for ix in range(width):
+                        at[2 * k + 1, ix] = at[2 * k, ix] + seen
+                for ix in range(begin, end):
+                    add_shadows(sums, iy * tile + ix, rows, ix, at, weights)
+        for iy in range(height):
+            for ix in range(width):
+                dose[y0 + iy, x0 + ix] = sums[iy * tile + ix, :slices]
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def project(
-    volume: Float32Array,
-    cosine: FloatArray,
-    sine: FloatArray,
-    first: float,
-    voxel: float,
-    xs: FloatArray,
-    ys: FloatArray,
-    absorption: float,
-    tilt: FloatArray,
-    both: bool,
-    first_height: float,
-    projections: Float32Array,
-) -> None:
-    """Add all voxels to `projections`: the transpose of `backproject`."""
-    angles, samples, depth = projections.shape
-    ways = 2 if both else 1
-    for a in prange(angles):
-        seen = np.empty(depth, np.float32)
-        for iy in range(len(ys)):
-            for ix in range(len(xs)):
-                x, y = xs[ix], ys[iy]
-                middle, half_top, half_base, start, end = shadow(x, y, cosine[a], sine[a], first, voxel)
-                along, slope = x * sine[a] + y * cosine[a], tilt[min(max(int(middle + 0.5), 0), samples - 1)]
-                seen[:] = 0
-                for way in range(ways):
-                    side = 1 - 2 * way
-                    shrink = 1 / (1 + side * along * slope)
-                    weight = np.float32(np.exp(-absorption * side * along) * shrink / ways)
-                    _scatter_climbing(seen, volume[iy, ix], weight, shrink - 1, first_height)
-                before = 0.0
-                for i in range(start, end + 1):
-                    until = shadow_before(i + 0.5 - middle, half_top, half_base)
-                    if 0 <= i < samples:
-                        share, strip = np.float32(until - before), projections[a, i]
-                        for z in range(depth):
-                            strip[z] += share * seen[z]
-                    before = until
+    tile: int, knots: int, rows: Float32Array, lit: BoolArray, cosine: FloatArray, sine: FloatArray, first: float,
+    voxel: float, xs: FloatArray, ys: FloatArray, absorbed_x: Float32Array, absorbed_y: Float32Array,
+    tilt: Float32Array, absorption: float, both: bool, first_height: float, projections: Float32Array,
+) -> None:  # fmt: skip
+    """Add all voxels to `projections`, (psi, strip, z): the transpose of `backproject`; see `level.project`."""
+    angles, strips, slices = projections.shape
+    seen, ways, level = strips_seen(tile, voxel), 2 if both else 1, np.zeros((TAPS, tile), np.float32)
+    room, ramp = voxels_seen(tile, voxel), np.arange(slices).astype(np.float32)
+    for job in prange((angles + ANGLES_A_JOB - 1) // ANGLES_A_JOB):
+        at, weights = np.empty((1, tile), np.int32), np.empty((2, TAPS, tile), np.float32)
+        # A list for each strip at each knot, of the voxels between it and the next.
+        ids, length = np.empty(((knots - 1) * seen, room), IDS), np.empty((knots - 1) * seen, IDS)
+        shares = np.empty(((knots - 1) * seen, 2, room), np.float32)
+        sums = np.empty((knots, rows.shape[1]), np.float32)
+        for number in range(tiles_of(tile, len(xs), len(ys))):
+            y0, x0, height, width = tile_at(number, tile, len(xs), len(ys))
+            for a in range(job * ANGLES_A_JOB, min((job + 1) * ANGLES_A_JOB, angles)):
+                c, s = cosine[a], sine[a]
+                low = lowest_strip(xs[x0] * c - ys[y0] * s - first, c, s, voxel, height, width)
+                near, span = _reach(c, s, xs[x0], ys[y0], voxel, height, width)
+                a_knot = span / (knots - 1)
+                length[:] = 0
+                for iy in range(height):
+                    x, y = xs[x0], ys[y0 + iy]
+                    shadows(width, x * c - y * s - first, c, s, voxel, -low, 0, at, weights)
+                    if absorption:
+                        weaken(width, 0, weights, absorbed_x, absorbed_y, a, x0, y0 + iy, 0.0, 0.0, level, both)
+                    _split(width, 0, at, weights, (x * s + y * c - near) / a_knot, voxel * s / a_knot, knots, seen)
+                    list_by_strip(width, (y0 + iy) * len(xs) + x0, lit, at, weights, ids, shares, length)
+                for strip in range(max(0, -low), min(seen, strips - low)):
+                    sums[:] = 0
+                    last = -1
+                    for knot in range(knots - 1):
+                        number_of_list = knot * seen + strip
+                        if length[number_of_list]:
+                            count = fill_up(number_of_list, ids, shares, length, ROWS_A_PAIR)
+                            add_rows_to_two(sums, knot, rows, number_of_list, ids, shares, count)
+                            last = knot + 1
+                    for knot in range(last + 1):
+                        for way in range(ways):
+                            along = near + a_knot * knot
+                            weight, drift = _way(way, along, tilt[low + strip], absorption, both)
+                            _scatter_climbing(
+                                projections, a, low + strip, sums, knot, weight, drift, first_height, ramp
+                            )
