@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -169,7 +169,7 @@ def own_methods() -> dict[str, tuple[Method, int]]:
     """Return vialight's methods with the passes that they do; a pass of gradient is ten steps."""
     return {
         # What the first pass shows is the part, filtered and clipped at 0.
-        "vialight FBP": (method_named("object-space"), 1),
+        "vialight FBP": (method_named("object-space", ceiling=1), 1),
         "vialight normalised, the paper's": (method_named("normalised"), 2),
         f"vialight osmo, {VAM_ITERATIONS} passes": (method_named("osmo"), VAM_ITERATIONS),
         f"vialight gradient, {VAM_ITERATIONS} steps": (method_named("gradient", steps=10), VAM_ITERATIONS // 10),
@@ -195,7 +195,8 @@ def judge(patterns: NDArray[np.floating], part: Part) -> Score:
     levels = np.rint(np.maximum(patterns, 0) * (255 / patterns.max())).astype(np.uint8)
     dose = dose_in_ideal_printer(np.ascontiguousarray(levels), part.grid.shape[2])
     reached = np.hypot(part.grid.x_mm, part.grid.y_mm[:, None]) <= part.grid.shape[2] / 2 * part.grid.voxel_mm
-    return score_dose(dose, part.inside, np.asarray(reached)[None])
+    score = score_dose(dose, part.inside, np.asarray(reached)[None])
+    return replace(score, light_efficiency=float(levels.mean(dtype=np.float64) / 255))
 
 
 def patterns_of(projections: Float32Array) -> Float32Array:
@@ -234,21 +235,22 @@ def peer_result(part: Part, name: str, peers: Peers) -> Result | None:
 def part_table(part: Part, results: dict[str, Result | None]) -> list[str]:
     """Return what was measured on a part as lines of Markdown."""
     lines = [
-        "| method | seconds | processor, s | Jaccard | in-part range | voxel error rate | process window |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| method | seconds | processor, s | Jaccard | in-part range | voxel error rate | process window | light |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for name, result in results.items():
         if result is None:
-            lines.append(f"| {name} | not run | | | | | |")
+            lines.append(f"| {name} | not run | | | | | | |")
             if part.name == "boat" and name in QUOTED:
                 jaccard, dose_range, seconds = QUOTED[name]
                 told = "" if dose_range is None else f"{dose_range:.3f}"
-                lines.append(f"| {name}, quoted, in its own terms | {seconds:g} | | {jaccard:.3f} | {told} | | |")
+                lines.append(f"| {name}, quoted, in its own terms | {seconds:g} | | {jaccard:.3f} | {told} | | | |")
             continue
         score = result.score
         lines.append(
             f"| {name} | {min(result.seconds):.2f} | {min(result.processor_seconds):.2f} | {score.jaccard:.4f} "
-            f"| {score.in_part_dose_range:.3f} | {score.voxel_error_rate:.1e} | {score.process_window:+.3f} |"
+            f"| {score.in_part_dose_range:.3f} | {score.voxel_error_rate:.1e} | {score.process_window:+.3f} "
+            f"| {score.light_efficiency:.1%} |"
         )
     return lines
 
@@ -366,7 +368,8 @@ How to read it:
 - All methods are given the same voxels and angles. The judge (`benchmarks/judge.py`) shares nothing with any of them:
   it rounds patterns to 8 bits, shows them as square pixels for as long as they are held, by parallel light in a resin
   that absorbs nothing, and averages 3 x 3 points in each voxel. Dose range, window and error rate are as in the
-  reference: over the largest in-part dose.
+  reference: over the largest in-part dose. "Light" is the mean level of all pixels of the patterns, over 255: a print
+  takes that much less time, and has that many more grey levels, the higher it is.
 - Seconds are the best of {ROUNDS} rounds for vialight, after a start that does not count, and of one run for others,
   made before and under the circumstances told below their table: a priority of 19 gives way to all other work, which
   seconds then include. Processor seconds, of all threads together, are the measure to compare; a speed is met where

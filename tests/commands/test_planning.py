@@ -126,14 +126,14 @@ def test_a_plan_is_scored_anew_under_another_rig(part: Path, rig: Path, tmp_path
 
 
 def test_exposure_is_irradiance_times_time(rig: Path) -> None:
-    """5 mW / cm^2 at 20 deg / s is 90 mJ / cm^2 a turn at full level; the threshold is what share of that it is."""
+    """60 mW / cm^2 at 20 deg / s is 1080 mJ / cm^2 a turn at full level; the threshold is what share of that it is."""
     patterns = Patterns(np.full((8, 2, 2), 255, np.uint8), np.arange(8) * np.pi / 4, 0, 0, 1 / (2 * np.pi * 255))
     score = score_dose(
         np.array([[[0.8, 0.1]]], np.float32), np.array([[[1, 0]]], np.float32), np.ones((1, 1, 1), bool), patterns
     )
     found = exposure_json(score, patterns, load_rig(rig))
-    assert found["exposure_per_turn_mj_per_cm2"] == pytest.approx(0.8 * 5 * 18)
-    assert found["turns_to_critical_exposure"] == pytest.approx(60 / (0.8 * 5 * 18))
+    assert found["exposure_per_turn_mj_per_cm2"] == pytest.approx(0.8 * 60 * 18)
+    assert found["turns_to_critical_exposure"] == pytest.approx(962 / (0.8 * 60 * 18))
 
 
 def broken(change: str, path: Path) -> Path:
@@ -224,7 +224,7 @@ def refused(part: Path, rig: Path, folder: Path, words: str, **how: Any) -> None
     ("wrong", "words"),
     [
         ({"angles": 35}, "--angles"), ({"angles": 2}, "--angles"), ({"passes": 0}, "--passes"),
-        ({"void_limit": 1.0}, "--void-limit"), ({"diffusion_mm": -0.1}, "--diffusion"),
+        ({"void_limit": 1.0}, "--void-limit"), ({"ceiling": 0.0}, "--ceiling"), ({"diffusion_mm": -0.1}, "--diffusion"),
         ({"projector_blur_mm": float("nan")}, "--projector-blur"),
     ],
 )  # fmt: skip

@@ -205,6 +205,19 @@ def test_object_space_gets_better_with_every_pass() -> None:
     assert all(after < before for before, after in pairwise(costs))
 
 
+def test_a_ceiling_on_light_is_kept_and_leaves_the_dose_as_good() -> None:
+    """The brightest ray sets the grey levels: under a ceiling of 0.3 they are finer and a turn brings more dose."""
+    goal, light = goal_for(thin_wall_box(), 0.3)
+    free, bound = (optimise(goal, light, method_named("object-space", ceiling=c), 20)[0] for c in (1.0, 0.3))
+    first = next(method_named("object-space", ceiling=1.0)(goal, light, None)).projections.max()
+    assert bound.projections.max() <= 0.3001 * first
+    scores = [score_dose(state.dose, goal.inside, goal.reach > 0) for state in (free, bound)]
+    assert scores[1].in_part_dose_range <= scores[0].in_part_dose_range
+    assert scores[1].process_window >= scores[0].process_window
+    share_of_light = [state.projections.mean() / state.projections.max() for state in (free, bound)]
+    assert share_of_light[1] > 2 * share_of_light[0]
+
+
 @pytest.mark.parametrize("angles", [60, 120])
 def test_object_space_converges_though_angles_are_few(angles: int) -> None:
     """Near the axis the projections of few angles overlap, and steps that are not damped for it run away."""

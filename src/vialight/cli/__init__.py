@@ -123,6 +123,13 @@ def measure(
 )
 @click.option("--projector-blur", type=float, default=0.0, help="Standard deviation in the resin, mm, to be undone.")
 @click.option("--diffusion", type=float, default=0.0, help="Standard deviation of what diffuses, mm, to be undone.")
+@click.option(
+    "--ceiling",
+    type=float,
+    default=0.3,
+    show_default=True,
+    help="Of object-space: brightest light, in that of filtered backprojection; less prints faster, 1 is no ceiling.",
+)
 @click.option("--background", type=float, default=0.5, show_default=True, help="Of normalised: level B of the void.")
 @click.option("--clip", type=float, help="Of normalised: level that projections are raised to. [default: B]")
 @click.option("--bound-void", is_flag=True, help="Of normalised: take the void's target as an upper bound.")
@@ -172,7 +179,8 @@ def _plan_settings(options: dict[str, Any]) -> PlanSettings:
         method=options["method"], passes=options["passes"], angles=options["angles"], voxel_mm=options["voxel"],
         coverage=options["coverage"], void_limit=options["void_limit"], climbing=not options["flat"],
         projector_blur_mm=options["projector_blur"], diffusion_mm=options["diffusion"],
-        background=options["background"], clip_level=options["clip"], bound_void=options["bound_void"],
+        ceiling=options["ceiling"], background=options["background"], clip_level=options["clip"],
+        bound_void=options["bound_void"],
         rotate_deg=options["rotate"], scale=options["scale"], fit=options["fit"], centre=not options["no_centre"],
     )  # fmt: skip
 

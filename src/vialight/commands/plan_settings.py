@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vialight.errors import InputError
-from vialight.projections import VOID_LIMIT, MethodName
+from vialight.projections import CEILING, VOID_LIMIT, MethodName
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class PlanSettings:
         and wrong by a few per cent at flat ends of a part.
     projector_blur_mm, diffusion_mm
         Standard deviations, in the resin, of what the forward model is to undo.
+    ceiling
+        Of the method `object-space`: brightest light allowed, in that of the part's filtered backprojection.
     background, clip_level, bound_void
         Of the method `normalised`.
     rotate_deg, scale, fit, centre
@@ -49,6 +51,7 @@ class PlanSettings:
     climbing: bool = True
     projector_blur_mm: float = 0.0
     diffusion_mm: float = 0.0
+    ceiling: float = CEILING
     background: float = 0.5
     clip_level: float | None = None
     bound_void: bool = False
@@ -64,6 +67,8 @@ class PlanSettings:
             raise InputError("--passes", f"is {self.passes}", accepted="1 or more")
         if not 0 < self.void_limit < 1:
             raise InputError("--void-limit", f"is {self.void_limit}", accepted="more than 0 and less than 1")
+        if not 0 < self.ceiling <= 1:
+            raise InputError("--ceiling", f"is {self.ceiling}", accepted="more than 0, up to 1 for none")
         for name in ("projector_blur_mm", "diffusion_mm"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
@@ -73,6 +78,8 @@ class PlanSettings:
 
     def method_parameters(self) -> dict[str, float | bool | None]:
         """Return the parameters that only its method knows."""
+        if self.method == "object-space":
+            return {"ceiling": self.ceiling}
         if self.method != "normalised":
             return {}
         return {"background": self.background, "clip_level": self.clip_level, "bound_void": self.bound_void}

@@ -14,6 +14,7 @@ from vialight.errors import InputError
 from vialight.projections.given import lay_in_vial
 from vialight.projections.light import Light, dose_of, light_for, strip_positions
 from vialight.projections.methods import (
+    CEILING,
     VOID_LIMIT,
     Goal,
     Method,
@@ -27,6 +28,7 @@ from vialight.projections.methods import (
 from vialight.projections.patterns import full_turn, make_patterns
 
 __all__ = [
+    "CEILING",
     "DEFAULT_PASSES",
     "VOID_LIMIT",
     "Goal",

@@ -22,6 +22,9 @@ MethodName = Literal["object-space", "osmo", "gradient", "normalised"]
 VOID_LIMIT = 0.85
 """Dose that a void may reach, where the part gets 1, by default."""
 
+CEILING = 0.3
+"""Light that `object_space` allows, in that of the brightest ray of filtered backprojection, by default."""
+
 
 @dataclass(frozen=True)
 class State:
@@ -168,18 +171,23 @@ def _scaled_dose(model: Float32Array, light: Light, useful: Float32Array) -> tup
     return np.asarray(projections / peak, np.float32), np.asarray(dose / peak, np.float32)
 
 
-def object_space(goal: Goal, light: Light, state: State | None = None, *, step: float = 0.9) -> Iterator[State]:
+def object_space(
+    goal: Goal, light: Light, state: State | None = None, *, step: float = 0.9, ceiling: float = CEILING
+) -> Iterator[State]:
     """Accelerated Landweber steps in object space: the model moves by how much the dose is off, and keeps some speed.
 
-    Projections are the model's, ramp-filtered and clipped at 0; then ``model -= step * error``, with the error of
-    `Goal`.  Unlike `osmo`, both regions move at once, the dose keeps its scale, and inside it is held from both sides,
-    so that the in-part range closes.  Each step starts from the model pushed on by (k - 1) / (k + 2) of its last move
-    (Nesterov 1983): half as many passes come as far.
+    Projections are the model's, ramp-filtered and clipped from 0 to a ceiling; then ``model -= step * error``, with the
+    error of `Goal`.  Unlike `osmo`, both regions move at once, the dose keeps its scale, and inside it is held from
+    both sides, so that the in-part range closes.  Each step starts from the model pushed on by (k - 1) / (k + 2) of its
+    last move (Nesterov 1983): half as many passes come as far.
 
     The filtered pair's largest eigenvalue was found to be 1.27 (64 voxels across) to 1.43 (128), for waves at the rim;
     such steps converge below 4/3 of its inverse.  Absorption raises it, and so do few angles: the step is divided by
     `_gain`.  Where light is blurred, so is the error, as the transpose of the light would have it:
     without, the model runs away.
+
+    A few rays of filtered backprojection are far brighter than all others, those along flat sides of the part.  The
+    brightest sets what one grey level is, and with it how long a print takes.  Under a ceiling others do their work.
 
     Parameters
     ----------
@@ -187,14 +195,19 @@ def object_space(goal: Goal, light: Light, state: State | None = None, *, step: 
         As for every method; its model is two volumes, the latest and the one before.
     step
         Relaxation.
+    ceiling
+        Light allowed, in that of the brightest ray of the part's filtered backprojection; 1 or more: any.
     """
     start = goal.inside * goal.reach
     models, passes = (np.stack([start, start]), 0) if state is None else (state.model, state.passes)
     step, useful = step / _gain(light), _strips_of_use(goal, light)
+    top = np.float32(np.inf)
+    if ceiling < 1:
+        top = np.float32(ceiling * float((filtered_projections(start, light) * useful).max()))
     while True:
         latest, before = models
         pushed = latest + np.float32(max(passes - 1, 0) / (passes + 2)) * (latest - before)
-        projections = np.asarray(np.maximum(filtered_projections(pushed, light), 0) * useful, np.float32)
+        projections = np.asarray(np.clip(filtered_projections(pushed, light), 0, top) * useful, np.float32)
         dose = dose_of(projections, light)
         passes += 1
         models = np.stack([pushed - np.float32(step) * _blurred(goal.error_of(dose), light), latest])
