@@ -23,7 +23,7 @@ from vialight.viewing import pixel_rays, pixels_of, ray_tilt
 SUBVOXELS = 3
 """Along x and along y, and stage angles for each pattern."""
 
-_SLICES_A_BLOCK = 16
+_SLICES_A_BLOCK = 48
 
 
 def dose_of_patterns(

@@ -109,7 +109,8 @@ def test_a_run_that_is_stopped_writes_the_best_so_far(part: Path, rig: Path, tmp
 @pytest.mark.usefixtures("no_page")
 def test_a_plan_is_scored_anew_under_another_rig(part: Path, rig: Path, tmp_path: Path) -> None:
     """Under its own rig as planned; with absorption doubled, the same patterns bring less and less evenly."""
-    result = plan_in(tmp_path / "out", part, rig)
+    # Passes enough that what is uneven is the absorption's doing.
+    result = plan_in(tmp_path / "out", part, rig, settings=replace(COARSE, passes=20))
     same = score_plan(tmp_path / "out" / "plan.h5", rig)
     assert same["metrics"].keys() <= same["metrics_as_planned"].keys()
     for name, value in same["metrics"].items():
