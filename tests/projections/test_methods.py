@@ -226,6 +226,7 @@ def test_object_space_converges_though_angles_are_few(angles: int) -> None:
     inside &= np.hypot(grid.x_mm - 2, grid.y_mm[:, None] - 0.5) > 1.2
     light = light_for(grid, angles)
     goal = Goal(np.repeat(inside[:, :, None], 2, axis=2).astype(np.float32), light.reach)
-    costs = [goal.cost_of(state.dose) for state in run("object-space", goal, light, 24)]
+    free = method_named("object-space", ceiling=1.0)  # a ceiling makes the first pass eight times as good
+    costs = [goal.cost_of(state.dose) for state in islice(free(goal, light, None), 24)]
     assert min(costs) > 0.9 * costs[-1]
     assert costs[-1] < 0.05 * costs[0]

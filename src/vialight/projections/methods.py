@@ -196,14 +196,13 @@ def object_space(
     step
         Relaxation.
     ceiling
-        Light allowed, in that of the brightest ray of the part's filtered backprojection; 1 or more: any.
+        Light allowed, in that of the brightest ray of the part's filtered backprojection, but never less than the
+        brightest 2 % of lit rays have there: a disk needs them all.  1 or more: any.
     """
     start = goal.inside * goal.reach
     models, passes = (np.stack([start, start]), 0) if state is None else (state.model, state.passes)
     step, useful = step / _gain(light), _strips_of_use(goal, light)
-    top = np.float32(np.inf)
-    if ceiling < 1:
-        top = np.float32(ceiling * float((filtered_projections(start, light) * useful).max()))
+    top = np.float32(np.inf if ceiling >= 1 else _ceiling(filtered_projections(start, light) * useful, ceiling))
     while True:
         latest, before = models
         pushed = latest + np.float32(max(passes - 1, 0) / (passes + 2)) * (latest - before)
@@ -212,6 +211,15 @@ def object_space(
         passes += 1
         models = np.stack([pushed - np.float32(step) * _blurred(goal.error_of(dose), light), latest])
         yield State(passes, models, projections, dose)
+
+
+def _ceiling(projections: Float32Array, ceiling: float) -> float:
+    lit = projections[projections > 0]
+    return max(ceiling * float(lit.max()), float(np.quantile(lit, _FEW_RAYS))) if len(lit) else math.inf
+
+
+_FEW_RAYS = 0.98
+"""Share of lit rays that are never bounded by a ceiling."""
 
 
 def _gain(light: Light) -> float:
