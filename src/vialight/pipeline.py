@@ -16,12 +16,14 @@ from vialight.config import Camera, Optics, Rig
 from vialight.errors import InputError
 from vialight.radon import FilterName
 from vialight.sinogram import (
+    Straightening,
     attenuation,
     bin_frames,
     parallel_beam,
     resample,
     rows_seen,
     select_turn,
+    straightening,
     warn_of_unseen_rays,
 )
 from vialight.store import FrameFile
@@ -93,6 +95,8 @@ class Scan:
         Pixels summed along rows and along columns.
     shape
         (rows, columns) of a binned frame.
+    straight
+        What a leaning axis or the vial's run-out ask of the frames; None where all stands straight.
     """
 
     frames: FrameFile
@@ -102,13 +106,28 @@ class Scan:
     optics: Optics | None
     binning: int
     shape: tuple[int, int]
+    straight: Straightening | None = None
 
     @property
     def beam(self) -> ParallelBeam:
         """Rays of the sinogram that suits these frames."""
         return parallel_beam(self.angles_rad, self.shape[1], self.camera, self.optics)
 
+    @property
+    def centre_mm(self) -> tuple[float, float]:
+        """X and y of the vial's axis, about which the rays of `beam` are, in the object's frame."""
+        return (0.0, 0.0) if self.straight is None else self.straight.centre_mm
+
     def line_integrals(self, rows: slice) -> Float32Array:
+        """Read (frame, row, column): counts above the background, or attenuation, of binned rows, straightened."""
+        if self.straight is None:
+            return self.as_recorded(rows)
+        margin = self.straight.margin(self.shape[1])
+        more = slice(max(0, rows.start - margin), min(self.shape[0], rows.stop + margin))
+        straight = self.straight.frames(self.as_recorded(more), more.start, self.angles_rad)
+        return straight[:, rows.start - more.start : rows.stop - more.start]
+
+    def as_recorded(self, rows: slice) -> Float32Array:
         """Read (frame, row, column): counts above the background, or attenuation, of binned rows."""
         raw_rows = slice(rows.start * self.binning, rows.stop * self.binning)
         counts = bin_frames(self.frames.read(self.chosen, raw_rows), self.binning)
@@ -145,10 +164,13 @@ def open_scan(frames: FrameFile, rig: Rig, settings: Settings) -> Scan:
         )
     angles = rig.stage.direction * frames.angles_rad
     chosen = select_turn(angles, settings.turn)
-    optics = rig.imaging_optics()
+    optics, angles = rig.imaging_optics(), angles[chosen]
     if optics is None:
-        warn_of_unseen_rays(angles[chosen], shape[1], camera)
-    return Scan(frames, chosen, angles[chosen], camera, optics, settings.binning, shape)
+        warn_of_unseen_rays(angles, shape[1], camera)
+    straight = straightening(camera, optics, rig.stage.run_out)
+    if straight is not None:
+        angles = straight.angles(angles)
+    return Scan(frames, chosen, angles, camera, optics, settings.binning, shape, straight)
 
 
 def grid_for(scan: Scan, beam: ParallelBeam, voxel_mm: float | None) -> Grid:
@@ -222,11 +244,12 @@ def reconstruct(
     beam = scan.beam
     grid = grid or grid_for(scan, beam, settings.voxel_mm)
     density = np.empty(grid.shape, np.float32)
-    outside = np.hypot(grid.x_mm, grid.y_mm[:, None]) > field_radius_mm(beam, scan.optics)
+    x_mm, y_mm = (axis - centre for axis, centre in zip((grid.x_mm, grid.y_mm), scan.centre_mm, strict=True))
+    outside = np.hypot(x_mm, y_mm[:, None]) > field_radius_mm(beam, scan.optics)
     read = _row_window(scan)
     for start in range(0, grid.shape[0], SLICES_A_BLOCK):
         block = slice(start, min(start + SLICES_A_BLOCK, grid.shape[0]))
-        _reconstruct_block(scan, beam, grid, grid.z_mm[block], settings, read, density[block])
+        _reconstruct_block(scan, beam, (x_mm, y_mm), grid.voxel_mm, grid.z_mm[block], settings, read, density[block])
         np.copyto(density[block], 0, where=outside)
         if progress:
             progress(block.stop, grid.shape[0])
@@ -236,7 +259,8 @@ def reconstruct(
 def _reconstruct_block(
     scan: Scan,
     beam: ParallelBeam,
-    grid: Grid,
+    plan_mm: tuple[FloatArray, FloatArray],
+    voxel_mm: float,
     z_mm: FloatArray,
     settings: Settings,
     read: RowReader,
@@ -245,16 +269,14 @@ def _reconstruct_block(
     heights, tilt, radius = z_mm, None, field_radius_mm(beam, scan.optics)
     if settings.accurate and scan.optics is not None:
         tilt = ray_tilt(beam.virtual_x_mm, scan.optics)
-        heights = _heights_of_climbing_rays(z_mm, grid.voxel_mm, float(tilt.max()) * radius)
+        heights = _heights_of_climbing_rays(z_mm, voxel_mm, float(tilt.max()) * radius)
     rows = rows_seen(heights, scan.shape[0], scan.camera, scan.optics)
     sinogram = resample(read(rows), rows.start, scan.angles_rad, scan.camera, scan.optics, beam, heights)
     if tilt is None:
-        reconstruct_slices(
-            sinogram, beam, grid.x_mm, grid.y_mm, filter_name=settings.filter_name, radius_mm=radius, out=density
-        )
+        reconstruct_slices(sinogram, beam, *plan_mm, filter_name=settings.filter_name, radius_mm=radius, out=density)
     else:
         density[:] = reconstruct_climbing(
-            sinogram, beam, heights, tilt, grid.x_mm, grid.y_mm, z_mm, radius, filter_name=settings.filter_name
+            sinogram, beam, heights, tilt, *plan_mm, z_mm, radius, filter_name=settings.filter_name
         )
 
 

@@ -26,7 +26,7 @@ from vialight.twin import (
     load_resin,
     play,
 )
-from vialight.twin.poses import Pose
+from vialight.twin.poses import Pose, VialPose
 from vialight.twin.sensor import Sensor, StrayLight
 
 RIG, RESIN = find_rig("orth2022-190"), load_resin("DUDMA")
@@ -161,9 +161,11 @@ def test_resin_that_cannot_gel_is_told_with_both_doses() -> None:
         twin.surface()
 
 
-def test_faults_of_the_stage_move_the_object() -> None:
+def test_faults_of_the_stage_move_object_and_vial() -> None:
     faults = Faults(axis_offset_mm=(0.1, -0.2), run_out_mm=0.05, tilt_rad=(0.01, 0.0))
-    assert faults.pose(0.0) == Pose(0.0, (0.15, -0.2), (0.01, 0.0))
+    assert faults.pose(0.0) == Pose(0.0, (0.1, -0.2), (0.01, 0.0))
+    assert faults.vial(0.0) == VialPose((0.15, -0.2), (0.01, 0.0))
+    assert faults.pose_in_vial(0.0) == Pose(0.0, (-0.05, 0.0))
     ripple = Faults(speed_ripple=0.05)
     angles = np.array([ripple.angle(time, 1.0) for time in np.linspace(0, 2 * np.pi, 400)])
     speed = np.gradient(angles, np.linspace(0, 2 * np.pi, 400))

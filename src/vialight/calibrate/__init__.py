@@ -1,6 +1,8 @@
 """What a calibration finds: estimators, arrays in, values with their standard uncertainties out."""
 
+from vialight.calibrate.axis import AxisFit, find_axis, rows_to_compare
 from vialight.calibrate.circles import Circle
+from vialight.calibrate.consistency import AXIS, DRIFT, OUT_X, OUT_Y, TILT, Comparison, Views
 from vialight.calibrate.findings import Finding, Findings
 from vialight.calibrate.height_maps import circle_in_heights
 from vialight.calibrate.projector import ProjectorFit, Sweep, fit_projector, line_columns
@@ -14,10 +16,18 @@ from vialight.calibrate.threshold import (
     rim_threshold,
     weighted_mean,
 )
+from vialight.calibrate.views import check_something_cured, check_turn, check_unsaturated
 from vialight.calibrate.working_curve import WorkingCurve, fit_working_curve
 
 __all__ = [
+    "AXIS",
+    "DRIFT",
+    "OUT_X",
+    "OUT_Y",
+    "TILT",
+    "AxisFit",
     "Circle",
+    "Comparison",
     "Finding",
     "Findings",
     "IndexFit",
@@ -26,8 +36,13 @@ __all__ = [
     "RimThreshold",
     "SurfaceThreshold",
     "Sweep",
+    "Views",
     "WorkingCurve",
+    "check_something_cured",
+    "check_turn",
+    "check_unsaturated",
     "circle_in_heights",
+    "find_axis",
     "fit_projector",
     "fit_working_curve",
     "index_from_cylinders",
@@ -35,6 +50,7 @@ __all__ = [
     "overhead",
     "radius_at",
     "rim_threshold",
+    "rows_to_compare",
     "surface_threshold",
     "weighted_mean",
 ]

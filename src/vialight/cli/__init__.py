@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from vialight.cli.calibrating import calibrate
+from vialight.cli.geometry import COMMANDS
 from vialight.cli.instruments import devices_command, doctor_command, record_command
 from vialight.cli.printing import kinetics_command, print_command, say, status_line, watch_command
 from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
@@ -313,6 +314,8 @@ def demo(out: Path, recording: bool, serve: bool, as_json: bool) -> None:
         show(result, as_json, lambda: print_lines(result, out / "run"))
 
 
+for command in COMMANDS:
+    calibrate.add_command(command)
 main.add_command(calibrate)
 main.add_command(print_command)
 main.add_command(watch_command)

@@ -25,7 +25,7 @@ from vialight.radon import FilterName, ramp_filter
 from vialight.radon.filters import filter_few, padded_filter
 from vialight.radon.updating import AxisSums, add_projections
 from vialight.radon.workers import Workers
-from vialight.sinogram import bin_frames, parallel_beam
+from vialight.sinogram import bin_frames, parallel_beam, straightening
 from vialight.sinogram.streaming import LOST, NEVER, fold_changes, ray_taps, read_view, renew_rays
 from vialight.volume import DEFAULT_FILTER
 
@@ -120,6 +120,9 @@ class SlidingWindow:
         self.threshold = threshold
         self._direction, self._binning, self._frame_shape = rig.stage.direction, binning, frame_shape
         self._dark = None if dark is None else bin_frames(dark, binning)
+        self._straight = straightening(camera, optics, rig.stage.run_out)
+        centre = (0.0, 0.0) if self._straight is None else self._straight.centre_mm
+        self._x_mm, self._y_mm = self.grid.x_mm - centre[0], self.grid.y_mm - centre[1]
         self._taps = ray_taps(shape, camera, optics, self.beam, self.grid.z_mm, SLICES_A_BLOCK)
         self._middle = len(self._taps.columns) // 2
         self._turn = LatestTurn(frames_per_turn)
@@ -128,7 +131,7 @@ class SlidingWindow:
         scale = np.float32(np.pi / frames_per_turn)
         ramp = ramp_filter(filter_name, len(self.beam.virtual_x_mm), self.beam.spacing_mm)
         self._filter = padded_filter(ramp * scale)
-        self._inside = _disk(self.grid, field_radius_mm(self.beam, optics))
+        self._inside = _disk(self._x_mm, self._y_mm, field_radius_mm(self.beam, optics))
         self._workers = Workers(threads)
         self._frames_used = self._frames_new = 0
         self._allocate()
@@ -196,11 +199,16 @@ class SlidingWindow:
                 f"has shape {counts.shape} and angle {angle_rad}",
                 accepted=f"{self._frame_shape}, a finite angle",
             )
-        placing = self._turn.place(self._direction * angle_rad)
+        angle_rad *= self._direction
+        if self._straight is not None:
+            angle_rad = float(self._straight.angles(np.array(angle_rad)))
+        placing = self._turn.place(angle_rad)
         if placing is None:
             return False
         frame = bin_frames(counts, self._binning)
         frame = frame - self._dark if self._dark is not None else frame.copy()
+        if self._straight is not None:
+            frame = self._straight.frames(frame[None], 0, np.array([angle_rad]))[0]
         read_view(frame, self._taps, self._views[placing.slot])
         renew_rays(
             self._sinogram, self._states, self._schedule.touched, self._views, self._taps.directions_rad,
@@ -231,7 +239,7 @@ class SlidingWindow:
         fold_changes(self._sinogram, self._states, SLICES_A_BLOCK, self._folded, rows, changes)
         self._sums, self._counts = add_projections(
             self._volume, filter_few(self._filter, changes, self._workers), self.beam.psi_rad[rows],
-            float(self.beam.virtual_x_mm[0]), self.beam.spacing_mm, self.grid.x_mm, self.grid.y_mm,
+            float(self.beam.virtual_x_mm[0]), self.beam.spacing_mm, self._x_mm, self._y_mm,
             self._inside, self.threshold, self._workers,
         )  # fmt: skip
 
@@ -293,9 +301,9 @@ def _checked_shape(
     return shape[0] // binning, shape[1] // binning
 
 
-def _disk(grid: Grid, radius_mm: float) -> tuple[IntArray, IntArray]:
+def _disk(x_mm: FloatArray, y_mm: FloatArray, radius_mm: float) -> tuple[IntArray, IntArray]:
     """Return, for each y, the first x within the radius and the one after the last."""
-    outside = np.hypot(grid.x_mm, grid.y_mm[:, None]) > radius_mm
+    outside = np.hypot(x_mm, y_mm[:, None]) > radius_mm
     inside = (~outside).sum(axis=1)
     begin = np.where(inside > 0, outside.argmin(axis=1), 0).astype(np.int64)
     return begin, begin + inside

@@ -3,6 +3,7 @@
 from vialight.report.calibration_figures import sweep_png, working_curve_png
 from vialight.report.calibration_page import write_calibration_page
 from vialight.report.colours import colour_limit_mm, deviation_colours
+from vialight.report.geometry_figures import axis_round_png, frame_png, mirror_png
 from vialight.report.growth import growth_figure
 from vialight.report.kinetics_figures import GelPlanes, gel_times_png, kinetics_png
 from vialight.report.page import Figure, Provenance, write_report
@@ -14,12 +15,15 @@ __all__ = [
     "Figure",
     "GelPlanes",
     "Provenance",
+    "axis_round_png",
     "colour_limit_mm",
     "deviation_colours",
+    "frame_png",
     "gel_times_png",
     "growth_figure",
     "heights_png",
     "kinetics_png",
+    "mirror_png",
     "picture_of",
     "rim_png",
     "sweep_png",

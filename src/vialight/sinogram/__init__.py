@@ -11,9 +11,11 @@ ray are read off, and the frames are interpolated there.
 from vialight.sinogram.background import attenuation, bin_frames
 from vialight.sinogram.geometry import parallel_beam, rows_seen, warn_of_unseen_rays
 from vialight.sinogram.resampling import resample
+from vialight.sinogram.straightening import Straightening, straightening
 from vialight.sinogram.turns import frames_a_turn, select_turn
 
 __all__ = [
+    "Straightening",
     "attenuation",
     "bin_frames",
     "frames_a_turn",
@@ -21,5 +23,6 @@ __all__ = [
     "resample",
     "rows_seen",
     "select_turn",
+    "straightening",
     "warn_of_unseen_rays",
 ]

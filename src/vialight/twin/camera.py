@@ -7,7 +7,7 @@ that the object has, by trilinear interpolation at even steps.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from vialight.arrays import Float32Array, FloatArray, Grid
 from vialight.config import Camera, Optics, Rig
 from vialight.errors import InputError
 from vialight.twin.marching import MARGIN, march
-from vialight.twin.poses import Pose
-from vialight.twin.rays import trace
+from vialight.twin.poses import Pose, VialPose
+from vialight.twin.rays import Rays, trace
 
 BINNINGS = (1, 2, 4, 8)
 
@@ -39,12 +39,15 @@ class Imager:
         Of the camera.
     binning
         Pixels of the rig along each side of one of these.
+    vial
+        Where the vial stands, in whose frame the rays are.
     """
 
     rays: FloatArray
     camera: Camera
     optics: Optics
     binning: int
+    vial: VialPose = VialPose()  # noqa: RUF009  frozen
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -95,6 +98,7 @@ def imager_for(
     rays_a_side: int = 1,
     pupil_mm: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
     focus_mm: float = 0.0,
+    vial: VialPose | None = None,
 ) -> Imager:
     """Trace a rig's camera.
 
@@ -110,6 +114,8 @@ def imager_for(
         Rays along each side of a (binned) pixel; 1 is one thin ray through its middle.
     pupil_mm, focus_mm
         Points of the pupil, see `vialight.twin.rays.trace`; a pinhole by default.
+    vial
+        Where the vial stands; by default on the rig's axis.
 
     Raises
     ------
@@ -130,14 +136,36 @@ def imager_for(
     x_c = (np.arange(columns // binning) - camera.axis_column) * camera.pixel_mm
     z_c = (camera.optical_row - np.arange(rows // binning)) * camera.pixel_mm
     aside = (np.arange(rays_a_side) - (rays_a_side - 1) / 2) * camera.pixel_mm / rays_a_side
+    vial = vial or VialPose()
     traced = [
-        trace(x_c + right, z_c[:, None] + up, optics, pupil=(float(a), float(b)), focus_mm=focus_mm)
+        _trace_into(vial, x_c + right, z_c[:, None] + up, optics, (float(a), float(b)), focus_mm)
         for right in aside
         for up in aside
         for a, b in pupil_mm
     ]
     rays = np.stack([np.concatenate([ray.origin_mm, ray.direction], axis=-1) for ray in traced])
-    return Imager(rays, camera, optics, binning)
+    return Imager(rays, camera, optics, binning, vial)
+
+
+def _trace_into(
+    vial: VialPose, x_c: FloatArray, z_c: FloatArray, optics: Optics, pupil: tuple[float, float], focus_mm: float
+) -> Rays:
+    """Trace pixels' rays into a vial that stands off the axis: in its frame, it is the camera that is displaced."""
+    if vial == VialPose():
+        return trace(x_c, z_c, optics, pupil=pupil, focus_mm=focus_mm)
+    x_c, z_c = np.broadcast_arrays(x_c, z_c)
+    distance, (right, up) = optics.distance_mm, pupil
+    if np.isinf(distance):
+        through = vial.from_lab(np.stack([x_c, np.zeros(x_c.shape), z_c], axis=-1))
+        course = vial.turned(np.array([right, 1.0, up]))
+        start = (float(course[0] / course[1]), float(course[2] / course[1]))
+    else:
+        stretch = 1 + focus_mm / distance
+        through = vial.from_lab(np.stack([x_c * stretch, np.full(x_c.shape, focus_mm), z_c * stretch], axis=-1))
+        eye = vial.from_lab(np.array([right, -distance, up]))
+        course, distance, start = through - eye, -float(eye[1]), (float(eye[0]), float(eye[2]))
+    at_axis = through - course * (through[..., 1] / course[..., 1])[..., None]
+    return trace(at_axis[..., 0], at_axis[..., 2], replace(optics, distance_mm=distance), pupil=start)
 
 
 def frames_of(
@@ -161,7 +189,7 @@ def frames_of(
     imager
         The camera.
     poses
-        Of the object, one a frame.
+        Of the object in the vial's frame, one a frame.
     extinction_mm2
         Light lost per mm, over the density in counts per mm: both the light from above, which what lies higher
         shadows, and the scattered light on its way to the camera.  0: what scatters does not dim.

@@ -11,7 +11,7 @@ import numpy as np
 from vialight.arrays import Float32Array, Grid
 from vialight.config import Rig, changed_rig, read_toml
 from vialight.errors import InputError
-from vialight.twin.poses import Pose
+from vialight.twin.poses import Pose, VialPose
 from vialight.twin.tables import from_table
 
 
@@ -24,11 +24,11 @@ class Faults:
     Parameters
     ----------
     axis_offset_mm
-        Lab x and y by which the stage's axis lies beside where the rig has it.
+        Lab x and y by which the stage's axis, and the vial on it, lies beside where the rig has it.
     run_out_mm
-        Radius of the circle on which the axis goes once a turn.
+        Radius of the circle on which the vial's axis goes round the stage's once a turn, from lab x at angle 0.
     tilt_rad
-        By which the axis leans towards lab x and y.
+        By which the stage's axis, and the vial, leans towards lab x and y.
     speed_ripple, ripples_a_turn
         Share by which the speed of the stage varies, and how often a turn.
     led_drift_per_s
@@ -46,7 +46,7 @@ class Faults:
 
     Examples
     --------
-    >>> Faults(axis_offset_mm=(0.1, 0.0), run_out_mm=0.05).pose(np.pi / 2).shift_mm
+    >>> Faults(axis_offset_mm=(0.1, 0.0), run_out_mm=0.05).vial(np.pi / 2).shift_mm
     (0.1, 0.05)
     """
 
@@ -74,11 +74,23 @@ class Faults:
             if not low <= value <= high:
                 raise InputError("faults", f"{name} is {value}", accepted=f"{low:g} to {high:g}", remedy="correct it")
 
+    def vial(self, angle_rad: float) -> VialPose:
+        """Return how the vial stands when the stage has turned by an angle."""
+        (x, y), (out_x, out_y) = self.axis_offset_mm, self._run_out(angle_rad)
+        return VialPose((round(x + out_x, 15), round(y + out_y, 15)), self.tilt_rad)
+
     def pose(self, angle_rad: float) -> Pose:
-        """Return how the object stands when it has turned by an angle."""
-        x, y = self.axis_offset_mm
-        shift = (x + self.run_out_mm * np.cos(angle_rad), y + self.run_out_mm * np.sin(angle_rad))
-        return Pose(angle_rad, (round(float(shift[0]), 15), round(float(shift[1]), 15)), self.tilt_rad)
+        """Return how the object stands, in the lab, when it has turned by an angle."""
+        return Pose(angle_rad, self.axis_offset_mm, self.tilt_rad)
+
+    def pose_in_vial(self, angle_rad: float) -> Pose:
+        """Return how the object stands as seen by one who moves with the vial but does not turn."""
+        out_x, out_y = self._run_out(angle_rad)
+        return Pose(angle_rad, (-out_x, -out_y))
+
+    def _run_out(self, angle_rad: float) -> tuple[float, float]:
+        x, y = self.run_out_mm * np.cos(angle_rad), self.run_out_mm * np.sin(angle_rad)
+        return round(float(x), 15), round(float(y), 15)
 
     def angle(self, time_s: float, speed_rad_s: float) -> float:
         """Return the stage's true angle: even but for the ripple."""

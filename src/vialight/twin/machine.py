@@ -15,7 +15,7 @@ from vialight.arrays import Float32Array, Grid
 from vialight.config import Rig
 from vialight.errors import InputError
 from vialight.mesh import Mesh
-from vialight.twin.camera import Scene, frames_of, imager_for, look_at, scene_of
+from vialight.twin.camera import Imager, Scene, frames_of, imager_for, look_at, scene_of
 from vialight.twin.chemistry import Cure, cure, fresh
 from vialight.twin.exposure import add_dose, exposer_for
 from vialight.twin.poses import Pose
@@ -93,11 +93,7 @@ class Twin:
             self.rig, float(np.abs(grid.z_mm).max()) + grid.voxel_mm, blur_mm=settings.blur_mm,
             pupil_mm=points_on_disk(settings.projector_pupil_points, settings.projector_pupil_radius_mm),
         )  # fmt: skip
-        self._imager = imager_for(
-            self.rig, settings.image_shape, binning=settings.binning, rays_a_side=settings.rays_a_side,
-            pupil_mm=points_on_disk(settings.pupil_points, settings.pupil_radius_mm), focus_mm=settings.focus_mm,
-        )  # fmt: skip
-        self._stray = settings.stray.image(self._imager)
+        self._imager = self._imager_at(0.0)
         self._rng = np.random.default_rng(settings.seed)
         self._specks = settings.faults.specks_in(grid, self._rng)
         self.time_s = 0.0
@@ -166,14 +162,16 @@ class Twin:
             A dark frame: only stray light and noise.
         """
         settings, faults = self.settings, self.settings.faults
-        expected = self._stray
+        # One place of the vial a frame: it goes less than a hundredth of its run-out in an exposure.
+        imager = self._imager_at(self.true_angle_rad()) if faults.run_out_mm else self._imager
+        expected = settings.stray.image(imager)
         if not of_the_empty_vial:
             if self._rng.uniform() < faults.dropped_share:
                 return None
             offsets = (np.arange(settings.poses_a_frame) + 0.5) / settings.poses_a_frame - 0.5
-            poses = [faults.pose(self.true_angle_rad(self.time_s + share * settings.exposure_s)) for share in offsets]
-            seen = look_at(self._scene(), self._imager, poses)
-            expected = (seen.mean(axis=0) + self._stray) * (1 + faults.led_drift_per_s * self.time_s)
+            angles = [self.true_angle_rad(self.time_s + share * settings.exposure_s) for share in offsets]
+            seen = look_at(self._scene(), imager, [faults.pose_in_vial(angle) for angle in angles])
+            expected = (seen.mean(axis=0) + expected) * (1 + faults.led_drift_per_s * self.time_s)
         counts = settings.sensor.photograph(np.maximum(expected, 0), self._rng, binning=settings.binning)
         recorded_s = self.time_s + (self._rng.normal(0, faults.timestamp_jitter_s) if faults.timestamp_jitter_s else 0)
         return Frame(counts, self.rig.stage.direction * self.true_angle_rad(recorded_s), recorded_s)
@@ -197,7 +195,8 @@ class Twin:
             add_dose(
                 glow, self._exposer, self._image[None], self._shifted_corner(), np.array([0]), [Pose(0.0)], each, lab
             )
-        expected = frames_of(glow, lab, self._imager, [Pose(0.0)])[0] + self._stray
+        still = imager_for(self.rig, self.settings.image_shape, binning=self.settings.binning)
+        expected = frames_of(glow, lab, still, [Pose(0.0)])[0] + self.settings.stray.image(still)
         return self.settings.sensor.photograph(expected, self._rng, binning=self.settings.binning)
 
     def density(self) -> Float32Array:
@@ -231,6 +230,15 @@ class Twin:
         reach = np.float32(chemistry.propagation_m3_per_mol_s / chemistry.radical_decay_per_s)
         coming = 1 - (1 - self.state.conversion) * np.exp(-reach * self.state.radicals)
         return float((coming >= chemistry.gel_conversion).sum() * self.grid.voxel_mm**3)
+
+    def _imager_at(self, angle_rad: float) -> Imager:
+        """Return the camera as it sees the vial when the stage has turned by an angle."""
+        settings = self.settings
+        return imager_for(
+            self.rig, settings.image_shape, binning=settings.binning, rays_a_side=settings.rays_a_side,
+            pupil_mm=points_on_disk(settings.pupil_points, settings.pupil_radius_mm), focus_mm=settings.focus_mm,
+            vial=settings.faults.vial(angle_rad),
+        )  # fmt: skip
 
     @property
     def _longest_pose_s(self) -> float:

@@ -1,10 +1,12 @@
-"""How the object stands in the lab, as devices round it see it."""
+"""How the object and the vial stand in the lab, as devices round it see them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+
+from vialight.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -40,3 +42,28 @@ class Pose:
         shift = float(cosine * x + sine * y), float(cosine * y - sine * x)
         tilt = float(cosine * u + sine * v), float(cosine * v - sine * u)
         return self.angle_rad - azimuth_rad, *shift, *tilt
+
+
+@dataclass(frozen=True)
+class VialPose:
+    """The vial off the axis that the rig has it on.
+
+    Parameters
+    ----------
+    shift_mm
+        Lab x and y of its axis at z = 0.
+    tilt_rad
+        How far its axis leans towards lab x and y, small.
+    """
+
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+
+    def from_lab(self, point: FloatArray) -> FloatArray:
+        """Return where a point (..., xyz) of the lab lies in the vial's frame."""
+        return self.turned(point - np.array([*self.shift_mm, 0.0]))
+
+    def turned(self, direction: FloatArray) -> FloatArray:
+        """Return a direction (..., xyz) of the lab in the vial's frame, to first order in the tilt."""
+        (u, v), (x, y, z) = self.tilt_rad, np.moveaxis(direction, -1, 0)
+        return np.stack([x - u * z, y - v * z, z + u * x + v * y], axis=-1)

@@ -31,13 +31,19 @@ class StrayLight:
 
     def image(self, imager: Imager) -> FloatArray:
         """Return (row, column) expected counts of a frame without a part."""
-        rows, columns = imager.shape
-        x_c = np.abs(np.arange(columns) - imager.camera.axis_column) * imager.camera.pixel_mm
-        # The ray that touches the vial: its distance from the axis is the outer radius.
-        tangent = np.arcsin(imager.optics.outer_radius_mm / imager.optics.distance_mm)
-        edge = imager.optics.outer_radius_mm / np.cos(tangent)
-        line = self.base_counts + self.edge_counts * np.exp(-(((x_c - edge) / self.edge_width_mm) ** 2) / 2)
-        return np.broadcast_to(line * imager.binning**2, (rows, columns))
+        (rows, columns), camera, vial = imager.shape, imager.camera, imager.vial
+        radius, distance = imager.optics.outer_radius_mm, imager.optics.distance_mm
+        x_c = (np.arange(columns) - camera.axis_column) * camera.pixel_mm
+        z_c = (camera.optical_row - np.arange(rows)[:, None]) * camera.pixel_mm
+        aside, away = vial.shift_mm[0] + vial.tilt_rad[0] * z_c, distance + vial.shift_mm[1]
+        # The rays that touch the vial leave the pupil at an angle to the one through its axis.
+        peaks = [aside + radius, aside - radius]
+        if np.isfinite(distance):
+            towards, tangent = np.arctan2(aside, away), np.arcsin(radius / np.hypot(aside, away))
+            peaks = [distance * np.tan(towards + side * tangent) for side in (1, -1)]
+        off = np.minimum(*(np.abs(x_c - peak) for peak in peaks))
+        line = self.base_counts + self.edge_counts * np.exp(-((off / self.edge_width_mm) ** 2) / 2)
+        return np.asarray(line * imager.binning**2)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Calibrate: each command finds values of the rig and writes a new one, with a page that shows whether it is right."""
 
+from vialight.commands.calibrating.axis import calibrate_axis
 from vialight.commands.calibrating.latency import calibrate_latency
 from vialight.commands.calibrating.projector import SweepOptions, calibrate_projector
 from vialight.commands.calibrating.resin import calibrate_resin
@@ -10,6 +11,8 @@ __all__ = [
     "Standard",
     "StandardOptions",
     "SweepOptions",
+    "ThresholdOptions",
+    "calibrate_axis",
     "calibrate_latency",
     "calibrate_projector",
     "calibrate_resin",

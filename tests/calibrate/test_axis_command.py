@@ -1,0 +1,61 @@
+"""`vialight calibrate axis`: what it writes, and what it refuses, with a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from calibrate.wobbling import AXIS_COLUMN, PIXEL_MM, RIG, Recorded
+from vialight.commands.calibrating import calibrate_axis
+from vialight.config import load_rig
+from vialight.errors import InputError
+from vialight.store import rig_to_toml, write_frames
+
+
+@pytest.fixture
+def rig_path(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text(rig_to_toml(RIG), encoding="utf-8")
+    return path
+
+
+def test_a_new_rig_with_its_page_is_written(wobbling: Recorded, rig_path: Path, tmp_path: Path) -> None:
+    write_frames(tmp_path / "frames.h5", wobbling.counts(0), wobbling.angles_rad, dark=wobbling.dark(0))
+    result = calibrate_axis(tmp_path / "frames.h5", rig_path, tmp_path / "new.toml")
+    rig = load_rig(tmp_path / "new.toml")
+    assert rig.need_camera().axis_column == pytest.approx(AXIS_COLUMN, abs=0.03)
+    assert rig.stage.run_out is not None
+    assert rig.stage.run_out.radius_mm == pytest.approx(0.15, abs=0.05 * PIXEL_MM)
+    assert rig.uncertainty is not None
+    assert rig.uncertainty.camera is not None
+    assert 0 < rig.uncertainty.camera["axis_column"] < 0.03
+    assert result["details"]["rms_of_opposite_views_after_counts"] < 20
+    page = (tmp_path / "new.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 3
+
+
+def refused(
+    frames: NDArray[np.uint16], angles: NDArray[np.float64], recording: Recorded, rig_path: Path, match: str
+) -> None:
+    folder = rig_path.parent
+    write_frames(folder / "frames.h5", frames, angles, dark=recording.dark(0))
+    with pytest.raises(InputError, match=match):
+        calibrate_axis(folder / "frames.h5", rig_path, folder / "new.toml")
+    assert (folder / "new.refused.png").stat().st_size > 1000
+    assert not (folder / "new.toml").exists()
+
+
+def test_half_a_turn_is_refused_with_a_picture(still: Recorded, rig_path: Path) -> None:
+    refused(still.counts(0)[:91], still.angles_rad[:91], still, rig_path, r"no frames for 180\.0 deg")
+
+
+def test_frames_with_nothing_cured_are_refused_with_a_picture(still: Recorded, rig_path: Path) -> None:
+    empty = still._replace(part=np.zeros_like(still.part))
+    refused(empty.counts(0), still.angles_rad, still, rig_path, "nothing has cured")
+
+
+def test_saturated_frames_are_refused_with_a_picture(still: Recorded, rig_path: Path) -> None:
+    refused(np.minimum(still.counts(0), np.uint16(300)), still.angles_rad, still, rig_path, "the image is saturated")

@@ -1,0 +1,78 @@
+"""Recordings of a part in a vial whose axis is not the stage's, by the twin's camera."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from soft_parts import soft_density
+from vialight.arrays import Float32Array, FloatArray, Grid
+from vialight.calibrate import AxisFit, find_axis, rows_to_compare
+from vialight.config import Camera, Resin, Rig, Vial
+from vialight.twin import Faults
+from vialight.twin.camera import imager_for, look_at, scene_of
+from vialight.twin.sensor import Sensor, StrayLight
+
+RIG = Rig(
+    vial=Vial(outer_radius_mm=12.4, wall_mm=1.1, wall_index=1.472),
+    resin=Resin(index_imaging=1.48),
+    camera=Camera(distance_mm=190.0, pixel_mm=0.155, axis_column=87.3, optical_row=19.5),
+)
+SHAPE = (40, 176)
+FRAMES = 180
+PIXEL_MM = 0.155
+AXIS_COLUMN = 87.3 + 0.3 / PIXEL_MM
+"""Where the axis is in the recording with faults: 0.3 mm to the right."""
+
+
+def part(x: Any, y: Any, z: Any) -> Any:
+    """Signed distance to three posts off the axis, which nothing maps onto themselves."""
+    posts = [np.hypot(x - a, y - b) - r for a, b, r in ((3.0, 1.5, 1.3), (-3.2, -2.8, 0.8), (-2.0, 3.5, 1.0))]
+    beside, beyond = np.minimum(np.minimum(posts[0], posts[1]), posts[2]), np.abs(z) - 2.2
+    return np.minimum(np.maximum(beside, beyond), 0) + np.hypot(np.maximum(beside, 0), np.maximum(beyond, 0))
+
+
+class Recorded(NamedTuple):
+    """A turn, without noise."""
+
+    part: Float32Array
+    stray: Float32Array
+    angles_rad: FloatArray
+
+    def counts(self, seed: int) -> NDArray[np.uint16]:
+        """Draw (frame, row, column) counts, background and all."""
+        return Sensor().photograph(self.part + self.stray, np.random.default_rng(seed))
+
+    def dark(self, seed: int) -> NDArray[np.uint16]:
+        """Draw (8, row, column) counts without the part."""
+        still = np.broadcast_to(self.stray[0], (8, *self.stray[0].shape))
+        return Sensor().photograph(still, np.random.default_rng(1000 + seed))
+
+
+def recorded(faults: Faults, *, voxel_mm: float = 0.1, rig: Rig = RIG, frames: int = FRAMES) -> Recorded:
+    """Turn the part before the twin's camera, with faults."""
+    grid = Grid((int(5.2 / voxel_mm), int(11 / voxel_mm), int(11 / voxel_mm)), voxel_mm)
+    scene = scene_of(soft_density(part, grid), grid)
+    angles = np.arange(frames, dtype=np.float64) * (2 * np.pi / frames)
+    seen, stray = [], []
+    imager = imager_for(rig, SHAPE, vial=faults.vial(0.0))
+    for angle in angles:
+        if faults.run_out_mm:
+            imager = imager_for(rig, SHAPE, vial=faults.vial(float(angle)))
+        seen.append(look_at(scene, imager, [faults.pose_in_vial(float(angle))])[0])
+        stray.append(StrayLight().image(imager))
+    return Recorded(np.array(seen), np.array(stray, dtype=np.float32), angles)
+
+
+def axis_found(recording: Recorded, *, off: float = 0.0, sense: int = 1, seed: int = 0, edges: bool = True) -> AxisFit:
+    """Find the axis from a rig that is some columns off `AXIS_COLUMN`, in a stage that turns either way."""
+    camera = RIG.need_camera().model_copy(update={"axis_column": AXIS_COLUMN + off})
+    raw = recording.counts(seed).astype(np.float32)
+    counts = raw - recording.dark(seed).mean(axis=0, dtype=np.float32)
+    rows = rows_to_compare(counts.mean(axis=(0, 2), dtype=np.float64), camera, RIG.imaging_optics())
+    return find_axis(
+        counts[:, rows], rows.start, sense * recording.angles_rad, camera, RIG.imaging_optics(),
+        profiles=raw.mean(axis=1, dtype=np.float64) if edges else None,
+    )  # fmt: skip
