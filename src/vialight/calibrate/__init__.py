@@ -3,10 +3,12 @@
 from vialight.calibrate.axis import AxisFit, find_axis, rows_to_compare
 from vialight.calibrate.circles import Circle
 from vialight.calibrate.consistency import AXIS, DRIFT, OUT_X, OUT_Y, TILT, Comparison, Views
+from vialight.calibrate.edges import track_edges
 from vialight.calibrate.findings import Finding, Findings
 from vialight.calibrate.height_maps import circle_in_heights
 from vialight.calibrate.projector import ProjectorFit, Sweep, fit_projector, line_columns
 from vialight.calibrate.resin_index import IndexFit, index_from_cylinders
+from vialight.calibrate.scale import EdgeScale, scale_from_edges
 from vialight.calibrate.surface_threshold import SurfaceThreshold, surface_threshold
 from vialight.calibrate.threshold import (
     Overhead,
@@ -28,6 +30,7 @@ __all__ = [
     "AxisFit",
     "Circle",
     "Comparison",
+    "EdgeScale",
     "Finding",
     "Findings",
     "IndexFit",
@@ -51,6 +54,8 @@ __all__ = [
     "radius_at",
     "rim_threshold",
     "rows_to_compare",
+    "scale_from_edges",
     "surface_threshold",
+    "track_edges",
     "weighted_mean",
 ]

@@ -208,3 +208,12 @@ def kinetics_lines(result: dict[str, Any], out: Path) -> list[str]:
             for one in result["failures"]
         ]
     return [*lines, f"written to {out}"]
+
+
+def check_lines(result: dict[str, Any]) -> list[str]:
+    """Tabulate what has changed since a calibration."""
+    lines = [f"{'':<30}{'rig':>12}{'found':>12}{'may differ':>12}"]
+    for check in result["checks"]:
+        values = "".join(f"{check[key]:12.4g}" for key in ("rig", "found", "allowed"))
+        lines.append(f"{check['what']:<30}{values} {check['unit']:<8}{'' if check['good'] else 'CHANGED'}".rstrip())
+    return [*lines, "the calibration is still good" if result["good"] else "calibrate again"]

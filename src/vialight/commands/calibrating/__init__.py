@@ -1,9 +1,11 @@
 """Calibrate: each command finds values of the rig and writes a new one, with a page that shows whether it is right."""
 
 from vialight.commands.calibrating.axis import calibrate_axis
+from vialight.commands.calibrating.checking import check_calibration
 from vialight.commands.calibrating.latency import calibrate_latency
 from vialight.commands.calibrating.projector import SweepOptions, calibrate_projector
 from vialight.commands.calibrating.resin import calibrate_resin
+from vialight.commands.calibrating.scale import calibrate_scale
 from vialight.commands.calibrating.standards import Standard, StandardOptions
 from vialight.commands.calibrating.threshold import calibrate_threshold
 
@@ -16,5 +18,7 @@ __all__ = [
     "calibrate_latency",
     "calibrate_projector",
     "calibrate_resin",
+    "calibrate_scale",
     "calibrate_threshold",
+    "check_calibration",
 ]
