@@ -23,7 +23,7 @@ _turn = click.option("--turn", type=int, help="Which turn of the recording, from
 @_turn
 @_as_json
 def axis(frames: Path, rig: Path, out: Path, turn: int | None, as_json: bool) -> None:
-    r"""Find rotation axis, tilt, run-out and turning sense from the FRAMES (HDF5) of any print.
+    """Find rotation axis, tilt, run-out and turning sense from the FRAMES (HDF5) of any print.
 
     \b
     Example:
@@ -44,7 +44,7 @@ def axis(frames: Path, rig: Path, out: Path, turn: int | None, as_json: bool) ->
 @click.option("--diameter-std-mm", type=float, default=0.02, show_default=True, help="Its standard uncertainty.")
 @_as_json
 def scale(frames: Path, rig: Path, out: Path, diameter_mm: float | None, diameter_std_mm: float, as_json: bool) -> None:
-    r"""Find the size of a pixel from the vial's edges in FRAMES (HDF5) and its diameter.
+    """Find the size of a pixel from the vial's edges in FRAMES (HDF5) and its diameter.
 
     \b
     Example:
@@ -63,7 +63,7 @@ def scale(frames: Path, rig: Path, out: Path, diameter_mm: float | None, diamete
 @_turn
 @_as_json
 def check(run: Path, rig: Path | None, turn: int | None, as_json: bool) -> None:
-    r"""Say whether the calibration of a RUN (a folder, or frames with --rig) is still good.
+    """Say whether the calibration of a RUN (a folder, or frames with --rig) is still good.
 
     \b
     Example:
