@@ -20,11 +20,15 @@ _FOUND, _BEFORE = "#c0501a", "#18348f"
 
 def frame_png(frame: Any, camera: Camera, optics: Optics | None, *, before: Camera | None = None) -> bytes:
     """Draw a frame (row, column) with axis and vial's edges as the rig has them, and as it had them before."""
+    from matplotlib.colors import PowerNorm
+
     rows, columns = frame.shape
     with style():
-        figure = new_figure(7.2, min(7.2 * rows / columns + 1.1, 7.2))
+        figure = new_figure(7.2, min(5.9 * rows / columns + 0.9, 7.2))
         axis = figure.add_subplot()
-        image = axis.imshow(frame, cmap="gray", vmin=0, vmax=np.percentile(frame, 99.5), interpolation="nearest")
+        # Darkened less where it is dark, so that the vial's faint edges show beside the part.
+        levels = PowerNorm(0.4, vmin=0, vmax=max(1.0, float(np.percentile(frame, 99.5))))
+        image = axis.imshow(frame, cmap="gray", norm=levels, interpolation="nearest")
         figure.colorbar(image, ax=axis, label="counts", fraction=0.03, pad=0.02)
         if before is not None:
             axis.axvline(before.axis_column, color="#7fb2ff", linestyle="--", linewidth=1, label="axis before")
@@ -34,7 +38,7 @@ def frame_png(frame: Any, camera: Camera, optics: Optics | None, *, before: Came
         axis.plot(camera.axis_column + aside, ends, color="#ff9d57", linestyle="--", linewidth=1, label="axis")
         if optics is not None:
             for index, edge in enumerate(vial_edge_columns(camera, optics)):
-                label = None if index else "edges of the resin's field"
+                label = None if index else "edges of the vial"
                 axis.plot(edge + aside, ends, color="#3fd0c9", linewidth=1, label=label)
         axis.axhline(camera.optical_row, color="#8fdc6a", linestyle=":", linewidth=1, label="optical row")
         axis.set(xlabel="column", ylabel="row", xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
