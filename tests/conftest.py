@@ -10,6 +10,9 @@ import pytest
 CASES = Path(os.environ.get("VIALIGHT_CASES", Path(__file__).parents[1].parent / "shared" / "cases"))
 """Beside the repository; ``VIALIGHT_CASES`` names another place."""
 
+collect_ignore_glob = ["conftest.py", "*/conftest.py"]
+"""Fixtures are found without; looked through for doctests too, each would be the module `conftest` again."""
+
 
 @pytest.fixture(scope="session")
 def shared_cases() -> Path:
