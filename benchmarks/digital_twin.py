@@ -38,13 +38,13 @@ SAMPLES = 30_000
 
 
 def planned(path: Path, settings: PlanSettings | None = None) -> Plan:
-    """Read the plan, or make it: `vialight plan` as it is, at voxels of 0.1 mm."""
+    """Read the plan, or make it: by default `vialight plan --voxel 0.1 --ceiling 1`."""
     if not path.exists():
         part = Path(str(files("vialight") / "sample" / "part.stl"))
         rig = path.with_suffix(".toml")
         rig.write_text(rig_to_toml(RESIN.in_vial_of(RIG)), encoding="utf-8")
         scale = float(SIZE_MM / load_mesh(part).extents_mm.max())
-        plan_part(part, rig, path, settings=replace(settings or PlanSettings(voxel_mm=0.1), scale=scale))
+        plan_part(part, rig, path, settings=replace(settings or PlanSettings(voxel_mm=0.1, ceiling=1.0), scale=scale))
     return read_plan(path)
 
 

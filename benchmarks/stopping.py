@@ -155,7 +155,7 @@ def printer(irradiance_mw_per_cm2: float = IRRADIANCE_MW_PER_CM2) -> Rig:
 
 
 def plan_for(part: Mesh, rig: Rig, voxel_mm: float = VOXEL_MM, angles: int = ANGLES, passes: int = PASSES) -> Plan:
-    """Plan a part on coarse voxels."""
+    """Plan a part on coarse voxels, its light without a ceiling: such prints take some twenty turns."""
     grid = target_grid(part, voxel_mm)
     target = voxelise(part, grid, coverage=True)
     optics = rig.writing_optics()
@@ -166,7 +166,7 @@ def plan_for(part: Mesh, rig: Rig, voxel_mm: float = VOXEL_MM, angles: int = ANG
         tilt_at=ray_tilt(strip_positions(radius, voxel_mm), optics), climbing=True,
     )  # fmt: skip
     goal = Goal(np.ascontiguousarray(target.transpose(1, 2, 0)), light.reach)
-    best, _ = optimise(goal, light, method_named("object-space"), passes)
+    best, _ = optimise(goal, light, method_named("object-space", ceiling=1.0), passes)
     return Plan(make_patterns(best.projections, light, grid, rig), part, target, grid, rig)
 
 
