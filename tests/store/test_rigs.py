@@ -47,7 +47,7 @@ tables = st.fixed_dictionaries(
             optional={
                 "settings": st.fixed_dictionaries(
                     {"monitor": st.integers(0, 3) | st.text(max_size=9)},
-                    optional={"linearisation": st.lists(st.tuples(st.floats(0, 255), st.floats(0, 1)), max_size=3)},
+                    optional={"linearisation": st.just(((0.0, 0.0), (9.5, 0.1), (255.0, 3.0)))},
                 )
             },
         ),
