@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import threading
 import time
 from multiprocessing.connection import Connection
 from typing import Any
@@ -29,6 +30,8 @@ _SURFACE_BYTES = 42
 class LiveWatcher:
     """Follows a recording in two processes: one renews the volume, one measures it.
 
+    The thread that prints starts and ends it; any thread may ask how it is.
+
     Parameters
     ----------
     settings
@@ -45,6 +48,9 @@ class LiveWatcher:
         self.processes: dict[str, Any] = {}
         self._orders: dict[str, Connection[Any, Any]] = {}
         self._ready: set[str] = set()
+        self._has_started = False
+        self._lock = threading.Lock()
+        """Of what was started and who is ready: a message that two threads wait for would leave one of them waiting."""
         self._boxes: dict[str, Mailbox] = {}
 
     def room_for(self, image_shape: tuple[int, int], turns: float) -> int:
@@ -72,25 +78,28 @@ class LiveWatcher:
 
     def start(self) -> None:
         """Begin to follow; what had been started before is ended first, and the recording is read again."""
+        self._has_started = True
         self._end()
         (self._settings.mailboxes / "volume").unlink(missing_ok=True)
         context = multiprocessing.get_context("spawn")
-        self._ready = set()
+        processes, orders = {}, {}
         for name, work in (("follower", follow), ("analyst", analyse)):
-            ours, theirs = context.Pipe()
-            process = context.Process(target=work, args=(self._settings, theirs), name=name, daemon=True)
-            process.start()
+            orders[name], theirs = context.Pipe()
+            processes[name] = context.Process(target=work, args=(self._settings, theirs), name=name, daemon=True)
+            processes[name].start()
             theirs.close()
-            self.processes[name], self._orders[name] = process, ours
+        with self._lock:
+            self.processes, self._orders = processes, orders
 
     def is_ready(self) -> bool:
         """Whether both processes follow."""
-        for name, orders in self._orders.items():
-            with contextlib.suppress(EOFError, OSError):
-                if name not in self._ready and orders.poll():
-                    orders.recv()
-                    self._ready.add(name)
-        return len(self._ready) == len(self._orders) > 0
+        with self._lock:
+            for name, orders in self._orders.items():
+                with contextlib.suppress(EOFError, OSError):
+                    if name not in self._ready and orders.poll():
+                        orders.recv()
+                        self._ready.add(name)
+            return len(self._ready) == len(self._orders) > 0
 
     def has_ended(self) -> bool:
         """Whether a process has ended by itself."""
@@ -98,9 +107,9 @@ class LiveWatcher:
 
     def fault(self) -> str | None:
         """Say which process has ended, or that they are not ready yet."""
-        if not self.processes:
+        if not self._has_started:
             return None
-        for name, process in list(self.processes.items()):
+        for name, process in self.processes.items():
             if not process.is_alive():
                 return f"the {name} has ended (exit code {process.exitcode})"
         return None if self.is_ready() else "catching up"
@@ -139,13 +148,15 @@ class LiveWatcher:
                     return
 
     def _end(self) -> None:
-        for process in self.processes.values():
+        with self._lock:
+            processes, orders = self.processes, self._orders
+            self.processes, self._orders, self._boxes, self._ready = {}, {}, {}, set()
+        for process in processes.values():
             if process.is_alive():
                 process.kill()
                 process.join(_END_TIMEOUT_S)
-        for orders in self._orders.values():
-            orders.close()
-        self.processes, self._orders, self._boxes = {}, {}, {}
+        for connection in orders.values():
+            connection.close()
 
     def _newest(self, name: str) -> Any:
         path = self._settings.mailboxes / name
