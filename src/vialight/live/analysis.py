@@ -21,6 +21,8 @@ MARGIN_MM = 1.0
 _FIELD_PITCH = 2
 """Of the distance field, in voxels: between its points distances are interpolated."""
 _REVERSE_SAMPLES = 5000
+_MOST_VERTICES = 1_000_000
+"""Of a surface that is drawn once a second; noise at the threshold can make far more, and a print must go on."""
 
 
 def region_of(grid: Grid, reference: Mesh | None) -> tuple[slice, slice, slice]:
@@ -93,10 +95,15 @@ def measure(volume: Volume, threshold: float, against: Yardstick | None) -> Meas
     """Draw the surface of a region and compare it.
 
     Deviations are read off the distance field, which is good to some hundredths of a voxel on faces and to a tenth at
-    edges: for the eye and for curves; the finished print is measured exactly.
+    edges: for the eye and for curves; the finished print is measured exactly.  A surface of too many vertices is drawn
+    anew on coarser voxels.
     """
     try:
         surface = isosurface(volume, threshold)
+        drawn = volume
+        while len(surface.vertices_mm) > _MOST_VERTICES:
+            drawn = coarser(drawn)
+            surface = isosurface(drawn, threshold)
     except InputError:
         return Measured(None, np.empty(0, np.float32), None, None, None)
     if against is None:
@@ -114,6 +121,25 @@ def measure(volume: Volume, threshold: float, against: Yardstick | None) -> Meas
         float(np.sqrt(np.mean(back**2))),
         float((cured & against.inside).sum() / (cured | against.inside).sum()),
     )  # fmt: skip
+
+
+def coarser(volume: Volume) -> Volume:
+    """Return a volume on voxels twice as wide about the same centre.
+
+    Examples
+    --------
+    >>> coarser(Volume(np.arange(24, dtype=np.float32).reshape(2, 3, 4), Grid((2, 3, 4), 0.1))).density
+    array([[[ 6.5,  8.5],
+            [14.5, 16.5]]], dtype=float32)
+    """
+    density = volume.density
+    for axis, count in enumerate(density.shape):
+        even = density[(slice(None),) * axis + (slice(None, None, 2),)]
+        # Of an odd count every second voxel lies evenly about the centre; of an even one, the middles of pairs.
+        odd = density[(slice(None),) * axis + (slice(1, None, 2),)]
+        density = even if count % 2 else np.float32(0.5) * (even + odd)
+    z, y, x = density.shape
+    return Volume(density, Grid((z, y, x), 2 * volume.grid.voxel_mm, volume.grid.centre_z_mm))
 
 
 def middle_slices(density: Float32Array) -> Sums:
