@@ -97,7 +97,8 @@ class Chart {
       return { low: roundDown(Math.min(...known)), high: roundUp(Math.max(...known) * 1.001) };
     }
     const low = this.fromZero ? Math.min(0, ...values) : Math.min(...values);
-    return { low, high: Math.max(...values, low + 1e-6) };
+    const high = Math.max(...values);
+    return { low, high: high > low ? high : low + 1 };
   }
 
   axes(context, { x, y, start, end, low, high, width, height }) {
