@@ -4,6 +4,7 @@
 - `light`: leave for the projector, given only while everything is well
 - `recorder`: every frame on disk before it counts
 - `preflight`: what is checked before the first light
+- `settings`, `watching`: how to print, and what is asked of who measures it
 - `session`: the order of it all
 - `sweeping`: patterns one after the other, for calibration
 """
@@ -11,9 +12,11 @@
 from vialight.printing.light import LightKeeper
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder
-from vialight.printing.session import PrintSettings, Watcher, print_plan, stop_settings
+from vialight.printing.session import print_plan
+from vialight.printing.settings import PrintSettings, stop_settings
 from vialight.printing.sweeping import SweepFrames, record_sweep
 from vialight.printing.track import StageFollower, StageTrack
+from vialight.printing.watching import Watcher
 
 __all__ = [
     "EventLog",

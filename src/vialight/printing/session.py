@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -21,106 +20,16 @@ from vialight.printing import preflight
 from vialight.printing.light import LightKeeper
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder, room_for
+from vialight.printing.settings import PrintSettings, StopMode
 from vialight.printing.track import StageTrack
+from vialight.printing.watching import Watcher
 from vialight.store import FrameWriter, open_frames
-
-StopMode = Literal["auto", "manual", "turns"]
 
 _TICK_S = 0.02
 _STATUS_S = 0.2
 _START_TIMEOUT_S = 30.0
 _READY_TIMEOUT_S = 180.0
 _SPEED_TOLERANCE = 0.02
-
-
-@dataclass(frozen=True)
-class PrintSettings:
-    """How to print.
-
-    Parameters
-    ----------
-    stop
-        Who ends it: the forecast, the operator, or a number of turns.
-    turns
-        Of light, where that ends it.
-    longest_turns
-        Of light, after which it ends in any case.
-    after_turns
-        Of imaging once the light is off; their frames make the final shape.
-    frame_rate_hz
-        Of the camera.
-    give_up_s
-        For which a fault may hold the light before the print ends.
-    """
-
-    stop: StopMode = "auto"
-    turns: float | None = None
-    longest_turns: float = 40.0
-    after_turns: float = 1.0
-    frame_rate_hz: float = 10.0
-    give_up_s: float = 60.0
-
-    def __post_init__(self) -> None:
-        if self.stop == "turns" and not (self.turns is not None and 0 < self.turns <= 1000):
-            raise InputError("--stop", f"turns is {self.turns}", accepted="a positive number", remedy="correct it")
-        if not (math.isfinite(self.frame_rate_hz) and 0.5 <= self.frame_rate_hz <= 200):
-            raise InputError("frame rate", f"is {self.frame_rate_hz} /s", accepted="0.5 to 200")
-
-
-def stop_settings(stop: str, **others: float) -> PrintSettings:
-    """Return settings for ``auto``, ``manual`` or ``turns=N``.
-
-    Examples
-    --------
-    >>> stop_settings("turns=17").turns
-    17.0
-
-    Raises
-    ------
-    InputError
-        It is none of these.
-    """
-    if stop in ("auto", "manual"):
-        return PrintSettings("auto" if stop == "auto" else "manual", **others)
-    name, _, count = stop.partition("=")
-    try:
-        if name == "turns":
-            return PrintSettings("turns", float(count), **others)
-    except ValueError:
-        pass
-    raise InputError("--stop", f"is {stop!r}", accepted="auto, manual, turns=N", remedy="choose one")
-
-
-class Watcher(Protocol):
-    """Sees the print while it forms; lives in processes of its own and reads what is recorded."""
-
-    def room_for(self, image_shape: tuple[int, int], turns: float) -> int:
-        """Return the bytes that it may add to the run's folder in so many turns of the stage."""
-        ...
-
-    def start(self) -> None:
-        """Begin to follow the recording, which exists by now; again after it has failed."""
-        ...
-
-    def is_ready(self) -> bool:
-        """Whether it follows."""
-        ...
-
-    def fault(self) -> str | None:
-        """Say what is wrong; None while it is well."""
-        ...
-
-    def has_ended(self) -> bool:
-        """Whether it must be started again."""
-        ...
-
-    def forecast(self) -> StopForecast | None:
-        """Return when the light should go off; None where that is not known yet."""
-        ...
-
-    def close(self) -> None:
-        """Finish with what is recorded, and end."""
-        ...
 
 
 def print_plan(
@@ -206,6 +115,7 @@ class _Session:
         self._extra_turns = 0.0
         self._forecast: StopForecast | None = None
         self._ended_by = ""
+        self._gave_up_on: str | None = None
         self._state = "preflight"
         self._status_at = 0.0
 
@@ -259,15 +169,14 @@ class _Session:
         while not self._light.is_over:
             self._tick()
             self._light.stop_at(self._lit_s_to_stop())
-            now = time.monotonic()
-            held_since = None if self._light.fault is None else held_since or now
+            fault, now = self._light.fault, time.monotonic()
+            self._state = "printing" if fault is None else "dark"
+            held_since = None if fault is None else held_since or now
             if held_since is not None:
-                self._state = "dark"
                 self._watcher_again()
                 if now - held_since > self._settings.give_up_s / self._devices.clock.rate:
-                    self._end_light("fault", f"given up: {self._light.fault}")
-            else:
-                self._state = "printing"
+                    self._gave_up_on = fault
+                    self._end_light("fault", f"given up: {fault}")
         self._ended_by = self._ended_by or self._mode
         self._log.note("stop", f"light off after {self._light.lit_s:.1f} s ({self._ended_by})", by=self._ended_by,
                        forecast=None if self._forecast is None else asdict(self._forecast))  # fmt: skip
@@ -275,7 +184,7 @@ class _Session:
     def look_once_more(self) -> None:
         """Image on in the dark: these frames make the final shape."""
         self._enter("after", "light off; imaging on")
-        if self._light.fault is None:
+        if (self._gave_up_on or self._light.fault) is None:
             self._pass_time(self._settings.after_turns * self._turn_s + 2 / self._settings.frame_rate_hz)
 
     def fail(self, error: BaseException) -> None:
@@ -304,7 +213,7 @@ class _Session:
             "lit_turns": round(self._light.lit_rad / TURN_RAD, 4),
             "frames": self._recorder.written,
             "frames_missed": self._recorder.missed,
-            "fault": self._light.fault,
+            "fault": self._gave_up_on or self._light.fault,
             "forecast": None if self._forecast is None else asdict(self._forecast),
         }
 
