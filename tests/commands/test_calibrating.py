@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from vialight.cli import main
 from vialight.commands.calibrating import calibrate_resin
 from vialight.config import load_rig
 from vialight.errors import InputError
 from vialight.store import sha256_of
+from vialight.twin import find_rig
 
 RIG = """# Our printer, second floor
 schema = 1
@@ -79,3 +82,22 @@ def test_a_table_that_cannot_be_used_is_told(rig: Path, tmp_path: Path, text: st
     with pytest.raises(InputError, match=told):
         calibrate_resin(tmp_path / "bad.csv", rig, tmp_path / "new.toml")
     assert not list(tmp_path.glob("new.*"))
+
+
+def test_a_preset_may_be_named_as_for_other_commands(depths: Path, tmp_path: Path) -> None:
+    new = tmp_path / "new.toml"
+    told = CliRunner().invoke(
+        main, ["calibrate", "resin", str(depths), "--rig", "orth2022-190", "--out", str(new), "--json"]
+    )
+    assert told.exit_code == 0, told.output
+    rig = load_rig(new)
+    assert rig.resin.critical_exposure_mj_per_cm2 == pytest.approx(30.0, rel=1e-4)
+    assert rig.need_camera().pixel_mm == find_rig("orth2022-190").need_camera().pixel_mm
+
+
+def test_a_rig_that_is_not_there_is_told(depths: Path, tmp_path: Path) -> None:
+    told = CliRunner().invoke(
+        main, ["calibrate", "resin", str(depths), "--rig", "orth2023", "--out", str(tmp_path / "new.toml")]
+    )
+    assert told.exit_code == 2
+    assert "orth2023" in told.stderr

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import click
 
-from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
+from vialight.cli.running import faults_told, progress, rig_named, show, stopped_by_interrupt
 from vialight.cli.tables import calibration_lines
 
 _FILE = click.Path(path_type=Path)
-_rig = click.option("--rig", required=True, type=_FILE, help="The rig to start from, TOML; it is left as it is.")
+_rig = click.option(
+    "--rig", required=True, type=_FILE, callback=rig_named, help="To start from: TOML, or orth2022-145, orth2022-190."
+)
 _out = click.option("--out", required=True, type=_FILE, help="The new rig, TOML; .html and .json come beside it.")
 _as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, alone on stdout.")
 

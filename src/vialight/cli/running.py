@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,6 +20,13 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 FAILED = 1
+
+
+def rig_named(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """Return the file of a rig that is named by its path, or as one that comes with vialight."""
+    from vialight.twin import rig_file
+
+    return None if value is None else rig_file(value)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from vialight.report.growth import growth_figure
 from vialight.report.kinetics_figures import GelPlanes, gel_times_png, kinetics_png
 from vialight.report.page import Figure, Provenance, write_report
 from vialight.report.plan_page import write_plan_page
+from vialight.report.target_figures import target_png
 from vialight.report.threshold_figures import heights_png, rim_png, view_from_above_png
 from vialight.report.timelapse import picture_of, write_timelapse
 
@@ -27,6 +28,7 @@ __all__ = [
     "picture_of",
     "rim_png",
     "sweep_png",
+    "target_png",
     "view_from_above_png",
     "working_curve_png",
     "write_calibration_page",

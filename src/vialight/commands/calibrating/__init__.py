@@ -7,18 +7,20 @@ from vialight.commands.calibrating.projector import SweepOptions, calibrate_proj
 from vialight.commands.calibrating.resin import calibrate_resin
 from vialight.commands.calibrating.scale import calibrate_scale
 from vialight.commands.calibrating.standards import Standard, StandardOptions
+from vialight.commands.calibrating.target import FlatTarget, calibrate_scale_by_target
 from vialight.commands.calibrating.threshold import calibrate_threshold
 
 __all__ = [
+    "FlatTarget",
     "Standard",
     "StandardOptions",
     "SweepOptions",
-    "ThresholdOptions",
     "calibrate_axis",
     "calibrate_latency",
     "calibrate_projector",
     "calibrate_resin",
     "calibrate_scale",
+    "calibrate_scale_by_target",
     "calibrate_threshold",
     "check_calibration",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.resources import as_file, files
+from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
@@ -114,11 +114,19 @@ def find_rig(name: str | Path) -> Rig:
     >>> find_rig("orth2022-145").need_camera().pixel_mm
     0.1125
     """
+    return load_rig(rig_file(name))
+
+
+def rig_file(name: str | Path) -> Path:
+    """Return the file of a rig: the one of this name, or else that of a preset.
+
+    Examples
+    --------
+    >>> rig_file("orth2022-145").name, rig_file("mine.toml").name
+    ('orth2022-145.toml', 'mine.toml')
+    """
     preset = files(__name__) / "rigs" / f"{name}.toml"
-    if Path(name).exists() or not preset.is_file():
-        return load_rig(name)
-    with as_file(preset) as path:
-        return load_rig(path)
+    return Path(name) if Path(name).exists() or not preset.is_file() else Path(str(preset))
 
 
 def _names(kind: str) -> list[str]:
