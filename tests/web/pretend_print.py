@@ -36,7 +36,7 @@ from vialight.links import (
     SurfaceSnapshot,
     shared_folder,
 )
-from vialight.live import SharedVolume
+from vialight.live import Moment, SharedVolume
 from vialight.live.analysis import region_of
 from vialight.mesh import Mesh
 from vialight.plan import Patterns, Plan
@@ -139,7 +139,8 @@ class PretendPrint:
         }  # fmt: skip
         self._boxes = {name: Mailbox(self._folder / name, bytes_) for name, bytes_ in room.items()}
         shared = SharedVolume.make(self._folder / "volume", VOLUME_GRID, region_of(VOLUME_GRID, None))
-        shared.give(volume().density, 180, 18.0, 0.0, 0.0)
+        shared.density[...] = volume().density
+        shared.tell(Moment(180, 18.0, 0.0, 0.0))
         self._frames = FrameWriter(self.run / "frames.h5", (300, 480))
         (self.run / "projector.csv").write_text("refresh_s,shown_s,due,shown\n")
         self._control = ControlServer(self._obey)

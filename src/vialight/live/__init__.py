@@ -9,13 +9,14 @@
 
 from vialight.live.following import LiveSettings
 from vialight.live.looking_back import Place, SeenAgain, see_again, times_of
-from vialight.live.sharing import SharedVolume
+from vialight.live.sharing import Moment, SharedVolume
 from vialight.live.watcher import LiveWatcher
 from vialight.live.window import SlidingWindow
 
 __all__ = [
     "LiveSettings",
     "LiveWatcher",
+    "Moment",
     "Place",
     "SeenAgain",
     "SharedVolume",

@@ -7,16 +7,16 @@ import multiprocessing
 import os
 import time
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from vialight.arrays import Volume
+from vialight.arrays import Float32Array, Volume
 from vialight.errors import InputError
 from vialight.links import Mailbox, SurfaceSnapshot, leave_interrupts_to_the_print
-from vialight.live.analysis import Measured, mean_gel_times, measure, middle_slices, note_gelled, yardstick
+from vialight.live.analysis import GelTimes, Measured, coarsened, measure, measured_grid, middle_slices, yardstick
 from vialight.live.following import LiveSettings
-from vialight.live.sharing import Given, SharedVolume
+from vialight.live.sharing import Moment, SharedVolume
 from vialight.store import SERIES, VolumeSeriesWriter, write_history, write_ply
 
 _LARGEST_SURFACE = 64 * 2**20
@@ -50,81 +50,98 @@ def analyse(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
             is_finishing = orders.recv() == "finish"
 
 
+class _Seen(NamedTuple):
+    """A volume as it was when it was looked at, and what was found."""
+
+    density: Float32Array
+    """(z, y, x), the region."""
+    moment: Moment
+    found: Measured
+
+
 class _Analyst:
     """What the process keeps from one volume to the next."""
 
     def __init__(self, settings: LiveSettings, shared: SharedVolume) -> None:
         self._settings, self._shared = settings, shared
         self._surfaces = Mailbox(settings.mailboxes / "surface", _LARGEST_SURFACE)
-        # Made by the other process before it gives the first volume.
+        # Made by the other process before it tells of the first volume.
         self._snapshots, self._forecasts = (Mailbox(settings.mailboxes / name) for name in ("snapshot", "forecast"))
-        self._against = None if settings.reference is None else yardstick(settings.reference, shared.grid)
-        self._gel_time_s = np.full(shared.grid.shape, np.nan, np.float32)
+        self._grid = measured_grid(shared.grid)
+        self._against = None if settings.reference is None else yardstick(settings.reference, self._grid)
+        self._gel_times = GelTimes(shared.grid.shape)
+        z, y, x = shared.grid.shape
+        self._density: Float32Array = np.empty((y, x, z), np.float32).transpose(2, 0, 1)  # voxels in the same order
         self._series: VolumeSeriesWriter | None = None
         if settings.every_deg is not None:
             with contextlib.suppress(InputError):  # as in `measure_next`
                 self._series = VolumeSeriesWriter(settings.run / SERIES, shared.grid, {"threshold": settings.threshold})
         turned = [] if self._series is None else self._series.moments.get("turned_deg", [])
         self._kept = settings.kept_by(np.deg2rad(turned[-1])) if turned else 0
-        self._last: tuple[Given, Measured] | None = None
+        self._last: _Seen | None = None
         (settings.run / "surfaces").mkdir(exist_ok=True)
 
     def measure_next(self) -> bool:
         """Measure the next volume; False where none came."""
-        given = self._shared.take(_WAIT_S)
-        if given is None:
+        moment = self._shared.wait_for_moment(_WAIT_S)
+        if moment is None:
             return False
-        if given.lit_s > 0:
-            note_gelled(self._gel_time_s, given.density, self._settings.threshold, given.lit_s)
-        found = measure(Volume(given.density, self._shared.grid), self._settings.threshold, self._against)
-        told = self._told(given, found)
+        # The other process changes the volume meanwhile.
+        density = self._density
+        np.copyto(density, self._shared.density)
+        if moment.lit_s > 0:
+            self._gel_times.note(density, self._settings.threshold, moment.lit_s)
+        volume = coarsened(Volume(density, self._shared.grid), self._grid)
+        self._last = seen = _Seen(density, moment, measure(volume, self._settings.threshold, self._against))
+        told = self._told(seen)
         self._surfaces.put(told)
         with contextlib.suppress(InputError):  # a full disk: the recorder tells; what is shown needs no disk
-            self._keep(given, found, told)
-        self._shared.give_back()
+            self._keep(seen, told)
+        self._shared.done()
         return True
 
     def finish(self) -> None:
         """Keep what only the end knows, and what the print has come to."""
         kept_s = [-np.inf] if self._series is None else self._series.moments.get("time_s", [-np.inf])
-        if self._last is not None and self._last[0].time_s > kept_s[-1]:
+        if self._last is not None and self._last.moment.time_s > kept_s[-1]:
             with contextlib.suppress(InputError):
-                self._keep_whole(*self._last)
-        np.save(self._settings.run / "gel_time_s.npy", self._gel_time_s)
+                self._keep_whole(self._last)
+        np.save(self._settings.run / "gel_time_s.npy", self._gel_times.lit_s)
 
-    def _told(self, given: Given, found: Measured) -> SurfaceSnapshot:
-        surface = found.surface
+    def _told(self, seen: _Seen) -> SurfaceSnapshot:
+        density, moment, found = seen
         forecast = self._forecasts.newest()
+        surface = found.surface
         return SurfaceSnapshot(
-            frames=given.frames, time_s=given.time_s, lit_s=given.lit_s,
+            frames=moment.frames, time_s=moment.time_s, lit_s=moment.lit_s,
             vertices_mm=np.empty((0, 3), np.float32) if surface is None else surface.vertices_mm.astype(np.float32),
             faces=np.empty((0, 3), np.int32) if surface is None else surface.faces.astype(np.int32),
             deviation_mm=found.deviation_mm, rmse_mm=found.rmse_mm, reverse_rmse_mm=found.reverse_rmse_mm,
-            iou=found.iou, cured_volume_mm3=float((given.density >= self._settings.threshold).sum())
+            iou=found.iou, cured_volume_mm3=float(np.count_nonzero(density >= self._settings.threshold))
             * self._shared.grid.voxel_mm**3,
-            slices=middle_slices(given.density), gel_time_s=mean_gel_times(self._gel_time_s),
+            slices=middle_slices(density), gel_time_s=self._gel_times.means(),
             forecast=None if forecast is None else forecast[1],
         )  # fmt: skip
 
-    def _keep(self, given: Given, found: Measured, told: SurfaceSnapshot) -> None:
+    def _keep(self, seen: _Seen, told: SurfaceSnapshot) -> None:
         """Add to the history; once in a while keep surface and volume too."""
         newest = self._snapshots.newest()
         if newest is not None:
             write_history(self._settings.run, newest[1], told)
-        due = self._settings.kept_by(given.turned_rad)
-        self._last = given, found
+        due = self._settings.kept_by(seen.moment.turned_rad)
         if due > self._kept:
             self._kept = due
-            self._keep_whole(given, found)
+            self._keep_whole(seen)
 
-    def _keep_whole(self, given: Given, found: Measured) -> None:
+    def _keep_whole(self, seen: _Seen) -> None:
         """Keep the volume and its surface."""
         if self._series is None:
             return
+        moment, surface = seen.moment, seen.found.surface
         self._series.append(
-            given.density, time_s=given.time_s, lit_s=given.lit_s, frame=given.frames - 1,
-            turned_deg=float(np.rad2deg(given.turned_rad)),
+            seen.density, time_s=moment.time_s, lit_s=moment.lit_s, frame=moment.frames - 1,
+            turned_deg=float(np.rad2deg(moment.turned_rad)),
         )  # fmt: skip
-        if found.surface is not None:
-            scalars = {"deviation_mm": found.deviation_mm} if len(found.deviation_mm) else {}
-            write_ply(self._settings.run / "surfaces" / f"{given.frames - 1:06d}.ply", found.surface, scalars)
+        if surface is not None:
+            scalars = {"deviation_mm": seen.found.deviation_mm} if len(seen.found.deviation_mm) else {}
+            write_ply(self._settings.run / "surfaces" / f"{moment.frames - 1:06d}.ply", surface, scalars)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.ndimage import map_coordinates
 
 from vialight.arrays import BoolArray, Float32Array, FloatArray, Grid, Volume
@@ -21,8 +22,8 @@ MARGIN_MM = 1.0
 _FIELD_PITCH = 2
 """Of the distance field, in voxels: between its points distances are interpolated."""
 _REVERSE_SAMPLES = 5000
-_MOST_VERTICES = 1_000_000
-"""Of a surface that is drawn once a second; noise at the threshold can make far more, and a print must go on."""
+_MOST_VOXELS, _MOST_VERTICES = 16_000_000, 1_000_000
+"""Of what is measured once a second, beside the process that renews the volume with every frame."""
 
 
 def region_of(grid: Grid, reference: Mesh | None) -> tuple[slice, slice, slice]:
@@ -92,11 +93,11 @@ class Measured:
 
 
 def measure(volume: Volume, threshold: float, against: Yardstick | None) -> Measured:
-    """Draw the surface of a region and compare it.
+    """Draw the surface of a volume and compare it.
 
     Deviations are read off the distance field, which is good to some hundredths of a voxel on faces and to a tenth at
-    edges: for the eye and for curves; the finished print is measured exactly.  A surface of too many vertices is drawn
-    anew on coarser voxels.
+    edges: for the eye and for curves; the finished print is measured exactly.  A surface of too many vertices, such as
+    noise at the threshold makes, is drawn anew on coarser voxels.
     """
     try:
         surface = isosurface(volume, threshold)
@@ -123,6 +124,31 @@ def measure(volume: Volume, threshold: float, against: Yardstick | None) -> Meas
     )  # fmt: skip
 
 
+def measured_grid(grid: Grid) -> Grid:
+    """Return the voxels on which a region is measured: its own, or coarser ones where it has too many.
+
+    Examples
+    --------
+    >>> measured_grid(Grid((300, 481, 481), 0.05))
+    Grid(shape=(150, 241, 241), voxel_mm=0.1, centre_z_mm=0.0)
+    """
+    while np.prod(grid.shape) > _MOST_VOXELS:
+        grid = _coarser_grid(grid)
+    return grid
+
+
+def coarsened(volume: Volume, grid: Grid) -> Volume:
+    """Return a volume on the voxels that `measured_grid` gave."""
+    while volume.grid.shape != grid.shape:
+        volume = coarser(volume)
+    return volume
+
+
+def _coarser_grid(grid: Grid) -> Grid:
+    z, y, x = (-(-count // 2) for count in grid.shape)
+    return Grid((z, y, x), 2 * grid.voxel_mm, grid.centre_z_mm)
+
+
 def coarser(volume: Volume) -> Volume:
     """Return a volume on voxels twice as wide about the same centre.
 
@@ -136,10 +162,12 @@ def coarser(volume: Volume) -> Volume:
     for axis, count in enumerate(density.shape):
         even = density[(slice(None),) * axis + (slice(None, None, 2),)]
         # Of an odd count every second voxel lies evenly about the centre; of an even one, the middles of pairs.
-        odd = density[(slice(None),) * axis + (slice(1, None, 2),)]
-        density = even if count % 2 else np.float32(0.5) * (even + odd)
-    z, y, x = density.shape
-    return Volume(density, Grid((z, y, x), 2 * volume.grid.voxel_mm, volume.grid.centre_z_mm))
+        if count % 2:
+            density = even
+        else:
+            density = even + density[(slice(None),) * axis + (slice(1, None, 2),)]
+            density *= np.float32(0.5)
+    return Volume(density, _coarser_grid(volume.grid))
 
 
 def middle_slices(density: Float32Array) -> Sums:
@@ -148,14 +176,64 @@ def middle_slices(density: Float32Array) -> Sums:
     return Sums(density[z].copy(), density[:, y].copy(), density[:, :, x].copy())
 
 
-def note_gelled(gel_time_s: Float32Array, density: Float32Array, threshold: float, lit_s: float) -> None:
-    """Write the lit time into (z, y, x) voxels that have gelled since the last look; NaN means not yet."""
-    gel_time_s[(density >= threshold) & np.isnan(gel_time_s)] = lit_s
+class GelTimes:
+    """When each voxel gelled, and the mean of that along each axis.
+
+    Parameters
+    ----------
+    shape
+        (z, y, x) of the region.
+
+    Examples
+    --------
+    >>> times = GelTimes((1, 1, 2))
+    >>> times.note(np.array([[[5, 0]]], np.float32), 4.0, 10.0)
+    >>> times.note(np.array([[[6, 5]]], np.float32), 4.0, 12.0)
+    >>> times.lit_s, times.means().xz
+    (array([[[10., 12.]]], dtype=float32), array([[10., 12.]], dtype=float32))
+    """
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        z, y, x = shape
+        self._lit_s = np.full((y, x, z), np.nan, np.float32)
+        self._sums, self._counts = (
+            (np.zeros((y, x)), np.zeros((x, z)), np.zeros((y, z))) for _ in range(2)
+        )  # along z, y, x
+
+    @property
+    def lit_s(self) -> Float32Array:
+        """(z, y, x) light that a voxel had had when it was first seen above the threshold, s; NaN where it was not."""
+        return self._lit_s.transpose(2, 0, 1)
+
+    def note(self, density: Float32Array, threshold: float, lit_s: float) -> None:
+        """Look at a (z, y, x) density."""
+        _note(self._lit_s, density.transpose(1, 2, 0), threshold, np.float32(lit_s), self._sums, self._counts)
+
+    def means(self) -> Sums:
+        """Return the mean along each axis; NaN where nothing has gelled."""
+        with np.errstate(invalid="ignore"):
+            xy, xz, yz = ((s / n).astype(np.float32) for s, n in zip(self._sums, self._counts, strict=True))
+        return Sums(xy, xz.T, yz.T)
 
 
-def mean_gel_times(gel_time_s: Float32Array) -> Sums:
-    """Return the mean gel time along each axis; NaN where nothing has gelled."""
-    gelled = np.isfinite(gel_time_s)
-    filled = np.where(gelled, gel_time_s, np.float32(0))
-    with np.errstate(invalid="ignore"):
-        return Sums(*((filled.sum(axis=k) / gelled.sum(axis=k)).astype(np.float32) for k in range(3)))
+@njit(nogil=True, cache=True)
+def _note(
+    times: Float32Array,
+    density: Float32Array,
+    threshold: float,
+    lit_s: np.float32,
+    sums: tuple[FloatArray, FloatArray, FloatArray],
+    counts: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    rows, columns, depth = times.shape
+    for y in range(rows):
+        for x in range(columns):
+            for z in range(depth):
+                if density[y, x, z] >= threshold and np.isnan(times[y, x, z]):
+                    times[y, x, z] = lit_s
+                    sums[0][y, x] += lit_s
+                    sums[1][x, z] += lit_s
+                    sums[2][y, z] += lit_s
+                    counts[0][y, x] += 1
+                    counts[1][x, z] += 1
+                    counts[2][y, z] += 1

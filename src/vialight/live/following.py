@@ -22,7 +22,7 @@ from vialight.feedback import StopHistory, StopModel, fresh_history, observe, pl
 from vialight.links import CameraImage, Mailbox, Snapshot, StopForecast, leave_interrupts_to_the_print
 from vialight.live.analysis import region_of
 from vialight.live.lit_time import LitTime
-from vialight.live.sharing import SharedVolume
+from vialight.live.sharing import Moment, SharedVolume
 from vialight.live.window import SlidingWindow, WindowState, compile_kernels
 from vialight.mesh import Mesh
 from vialight.store import FrameTail
@@ -108,7 +108,7 @@ def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
             follower.renew(new.first + len(new.counts), new.time_s, new.angles_rad)
         elif is_finishing:
             window.renew(everything=True)  # the last volume is of all that was seen
-            follower.give_volume()
+            follower.show_volume()
             orders.send("done")
             return
         elif orders.poll(_POLL_S):
@@ -128,11 +128,12 @@ class _Follower:
         self._shared = SharedVolume.make(
             settings.mailboxes / "volume", window.grid, region_of(window.grid, settings.reference)
         )
+        window.keep_in(self._shared.whole)
         self._times: deque[float] = deque(maxlen=_RATE_OVER)
         self._model = settings.stop_model
         self._history: StopHistory | None = None if self._model is None else fresh_history(self._model)
         self._places = None if self._model is None else places(self._model, window.grid)
-        self._given_at, self._given_turned_rad = -np.inf, 0.0
+        self._shown_at, self._shown_turned_rad = -np.inf, 0.0
         self._first_rad: float | None = None
         self._newest: tuple[int, float, float] = (0, 0.0, 0.0)
 
@@ -148,16 +149,16 @@ class _Follower:
         self._newest = (frames, time_s, turned)
         self._foresee(time_s)
         kept_by = self._settings.kept_by
-        is_wanted = kept_by(turned) > kept_by(self._given_turned_rad)
-        if (is_wanted or time.monotonic() - self._given_at >= _SECOND_S) and self._shared.is_free():
-            self.give_volume()
+        is_wanted = kept_by(turned) > kept_by(self._shown_turned_rad)
+        if (is_wanted or time.monotonic() - self._shown_at >= _SECOND_S) and self._shared.is_free():
+            self.show_volume()
 
-    def give_volume(self) -> None:
-        """Hand the volume to the process that measures it."""
+    def show_volume(self) -> None:
+        """Let the process that measures it look at the volume."""
         frames, time_s, turned_rad = self._newest
         if frames and self._shared.wait_until_free(_SECOND_S):
-            self._shared.give(self._window.volume, frames, time_s, self._lit.at(time_s), turned_rad)
-            self._given_at, self._given_turned_rad = time.monotonic(), turned_rad
+            self._shared.tell(Moment(frames, time_s, self._lit.at(time_s), turned_rad))
+            self._shown_at, self._shown_turned_rad = time.monotonic(), turned_rad
 
     def _snapshot(self, state: WindowState, frames: int, time_s: float, angle_rad: float) -> Snapshot:
         span = self._times[-1] - self._times[0]

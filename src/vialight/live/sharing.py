@@ -1,4 +1,4 @@
-"""The live volume, handed from the process that renews it to the one that measures it: one copy, taken in turns."""
+"""The live volume, in memory that the process which renews it shares with those that look at it."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ import numpy as np
 
 from vialight.arrays import Float32Array, Grid
 from vialight.live.analysis import grid_of
+from vialight.memory import padded_depth
 
-_HEAD = struct.Struct("<QQQdddQ")
-"""Number given, number taken, frames, time, lit time, angle turned, unused."""
-_GRID = struct.Struct("<QQQdd")
-_BEGIN = 128
+_HEAD = struct.Struct("<QQQddd")
+"""Number told, number looked at, frames, time, lit time, angle turned."""
+_GRID = struct.Struct("<QQQdd6Q")
+"""Shape, voxel, centre; where the region begins and ends."""
+_BEGIN = 4096
 _POLL_S = 0.002
 
 Region = tuple[slice, slice, slice]
 
 
-class Given(NamedTuple):
-    """A volume that was handed over; its density is overwritten once it is given back."""
+class Moment(NamedTuple):
+    """What is known of the volume at the time that it was told of."""
 
-    density: Float32Array
     frames: int
     time_s: float
     lit_s: float
@@ -34,7 +35,10 @@ class Given(NamedTuple):
 
 
 class SharedVolume:
-    """A region of the live volume in memory that two processes map.
+    """A volume in memory that several processes map: one changes it, others look.
+
+    Nobody waits and nothing is copied for them: who looks may see a frame more in some voxels than in others, which is
+    less than what a frame changes.
 
     Parameters
     ----------
@@ -43,35 +47,42 @@ class SharedVolume:
 
     Attributes
     ----------
+    whole : Float32Array
+        (y, x, z) all of it, as deep as `vialight.memory.padded_depth` says: what a window keeps its volume in.
     grid : Grid
-        Of the region.
+        Of the region that is looked at.
+    density : Float32Array
+        (z, y, x) the region.
     """
 
     def __init__(self, path: Path) -> None:
         with path.open("r+b") as file:
             self._map = mmap.mmap(file.fileno(), 0)
-        *shape, voxel, centre = _GRID.unpack_from(self._map, _HEAD.size)
-        self.grid = Grid((shape[0], shape[1], shape[2]), voxel, centre)
-        self._density = np.frombuffer(self._map, np.float32, offset=_BEGIN).reshape(self.grid.shape)
-        self._region: Region = (slice(None), slice(None), slice(None))
+        z, y, x, voxel, centre, *bounds = _GRID.unpack_from(self._map, _HEAD.size)
+        shape = (y, x, padded_depth(z))
+        values = np.frombuffer(self._map, np.float32, offset=_BEGIN, count=int(np.prod(shape)))
+        self.whole: Float32Array = values.reshape(shape)
+        region = slice(*bounds[0:2]), slice(*bounds[2:4]), slice(*bounds[4:6])
+        self.grid: Grid = grid_of(Grid((z, y, x), voxel, centre), region)
+        self.density: Float32Array = self.whole.transpose(2, 0, 1)[region]
 
     @classmethod
     def make(cls, path: Path, grid: Grid, region: Region) -> Self:
-        """Make the file, for a region of a grid."""
-        part = grid_of(grid, region)
+        """Make the file, for a grid of which a region is to be looked at."""
         fresh = path.with_suffix(".new")
+        z, y, x = grid.shape
+        bounds = [bound for part in region for bound in (part.start, part.stop)]
         with fresh.open("wb") as file:
-            file.write(_HEAD.pack(0, 0, 0, 0.0, 0.0, 0.0, 0) + _GRID.pack(*part.shape, part.voxel_mm, part.centre_z_mm))
-            file.truncate(_BEGIN + 4 * int(np.prod(part.shape)))
+            file.write(_HEAD.pack(0, 0, 0, 0.0, 0.0, 0.0))
+            file.write(_GRID.pack(z, y, x, grid.voxel_mm, grid.centre_z_mm, *bounds))
+            file.truncate(_BEGIN + 4 * y * x * padded_depth(z))
         fresh.rename(path)
-        made = cls(path)
-        made._region = region
-        return made
+        return cls(path)
 
     def is_free(self) -> bool:
-        """Whether the volume given last has been taken and measured."""
-        given, taken, *_ = _HEAD.unpack_from(self._map)
-        return bool(given == taken)
+        """Whether the moment told last has been looked at."""
+        told, looked_at, *_ = _HEAD.unpack_from(self._map)
+        return bool(told == looked_at)
 
     def wait_until_free(self, timeout_s: float) -> bool:
         """Wait for that; False where it takes too long."""
@@ -82,28 +93,26 @@ class SharedVolume:
             time.sleep(_POLL_S)
         return True
 
-    def give(self, volume: Float32Array, frames: int, time_s: float, lit_s: float, turned_rad: float) -> None:
-        """Copy the region of a (z, y, x) volume and hand it over."""
-        given, taken, *_ = _HEAD.unpack_from(self._map)
-        np.copyto(self._density, volume[self._region])
-        _HEAD.pack_into(self._map, 0, given, taken, frames, time_s, lit_s, turned_rad, 0)
-        struct.pack_into("<Q", self._map, 0, given + 1)
+    def tell(self, moment: Moment) -> None:
+        """Say of when the volume is, and that it is to be looked at."""
+        told, looked_at, *_ = _HEAD.unpack_from(self._map)
+        _HEAD.pack_into(self._map, 0, told, looked_at, *moment)
+        struct.pack_into("<Q", self._map, 0, told + 1)
 
-    def take(self, timeout_s: float) -> Given | None:
-        """Wait for a volume; None where none comes in time."""
+    def wait_for_moment(self, timeout_s: float) -> Moment | None:
+        """Wait until the volume is to be looked at; None where that does not come in time."""
         deadline = time.monotonic() + timeout_s
         while self.is_free():
             if time.monotonic() > deadline:
                 return None
             time.sleep(_POLL_S)
-        return self.newest()
+        return self.moment()
 
-    def newest(self) -> Given:
-        """Return the volume given last without taking it: it may be overwritten while it is looked at."""
-        _, _, frames, time_s, lit_s, turned, _ = _HEAD.unpack_from(self._map)
-        return Given(self._density, frames, time_s, lit_s, turned)
+    def moment(self) -> Moment:
+        """Return of when the volume was said to be last."""
+        return Moment(*_HEAD.unpack_from(self._map)[2:])
 
-    def give_back(self) -> None:
-        """Let the next volume be given."""
-        given, *_ = _HEAD.unpack_from(self._map)
-        struct.pack_into("<Q", self._map, 8, given)
+    def done(self) -> None:
+        """Have looked at it, so that the next moment can be told."""
+        told, *_ = _HEAD.unpack_from(self._map)
+        struct.pack_into("<Q", self._map, 8, told)

@@ -145,6 +145,17 @@ class SlidingWindow:
         self._volume = aligned_zeros((*self.grid.shape[1:], depth))
         self._sums = self._counts = _no_sums(*self._volume.shape)
 
+    def keep_in(self, memory: Float32Array) -> None:
+        """Keep the volume in other memory from now on, which others may see.
+
+        Parameters
+        ----------
+        memory
+            (y, x, z) float32, in C order, z as deep as `vialight.memory.padded_depth` says.
+        """
+        memory[...] = self._volume
+        self._volume = memory
+
     @property
     def lags_rad(self) -> FloatArray:
         """How far the stage has gone past a virtual angle when it is brought into the volume: each time.

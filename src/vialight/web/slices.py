@@ -42,7 +42,7 @@ class Slices:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._lock = threading.Lock()
-        self._live: tuple[str, SharedVolume] | None = None
+        self._live: tuple[int, SharedVolume] | None = None
         self._final: tuple[int, _Held] | None = None
 
     def at(self, x: int, y: int, z: int) -> bytes:
@@ -89,13 +89,15 @@ class Slices:
             self._live = None
             return None
         path = Path(link.mailboxes) / "volume"
-        if self._live is None or self._live[0] != str(path):
-            if not path.exists():
-                raise InputError(self._folder.name, "has no volume yet", remedy="wait for the first turn of frames")
-            self._live = str(path), SharedVolume(path)
+        try:
+            number = path.stat().st_ino  # another file where the live measurement was started again
+        except OSError as error:
+            name, remedy = self._folder.name, "wait for the first turn of frames"
+            raise InputError(name, "has no volume yet", remedy=remedy) from error
+        if self._live is None or self._live[0] != number:
+            self._live = number, SharedVolume(path)
         shared = self._live[1]
-        newest = shared.newest()
-        return _Held(newest.density, None, shared.grid, newest.frames)
+        return _Held(shared.density, None, shared.grid, shared.moment().frames)
 
     def _final_volume(self) -> _Held:
         path = self._folder / _FINAL
