@@ -19,7 +19,7 @@ from vialight.config import Rig, load_rig
 from vialight.devices import SimulatedClock
 from vialight.devices.replay import ReplayCamera, ReplayStage
 from vialight.errors import InputError
-from vialight.links import LiveLink, Mailbox, PrintStatus, Snapshot, SurfaceSnapshot, shared_folder
+from vialight.links import CameraImage, LiveLink, Mailbox, PrintStatus, SurfaceSnapshot, shared_folder
 from vialight.live import LiveSettings, LiveWatcher
 from vialight.mesh import load_mesh
 from vialight.printing import EventLog, Recorder
@@ -117,7 +117,7 @@ class _Replay:
         self._boxes = boxes
         rate_hz = (camera.count - 1) / max(float(np.ptp(camera.times_s)), 1e-9) if camera.count > 1 else 10.0
         self._recorder = Recorder(
-            camera, clock, rate_hz, self._stage.angle_at, EventLog(folder / "replay.jsonl", clock), self._camera_box.put
+            camera, clock, rate_hz, self._stage.angle_at, EventLog(folder / "replay.jsonl", clock), self._show_frame
         )
         with open_frames(run / "frames.h5") as frames:
             dark = frames.dark()
@@ -125,8 +125,9 @@ class _Replay:
             folder / "frames.h5", camera.image_shape,
             dark=None if dark is None else np.rint(dark).astype(np.uint16),
         )  # fmt: skip
+        self._arrived_s: dict[int, float] = {}
         self._latencies: list[float] = []
-        self._seen = 0
+        self._seen = self._number = 0
         self._last: SurfaceSnapshot | None = None
         self._skipped = 0
 
@@ -163,12 +164,18 @@ class _Replay:
             if not (self._boxes / "snapshot").exists():
                 return
             self._snapshot_box = Mailbox(self._boxes / "snapshot")
-        found = self._snapshot_box.newest()
-        if found is not None and found[1].frames > self._seen:
-            snapshot: Snapshot = found[1]
+        found = self._snapshot_box.newest(after=self._number)
+        if found is None:
+            return
+        self._number, snapshot = found
+        if snapshot.frames > self._seen:
             self._skipped += snapshot.frames - self._seen - 1
             self._seen = snapshot.frames
-            self._latencies.append(snapshot.latency_s)
+            self._latencies.append(time.monotonic() - self._arrived_s[snapshot.frames - 1])
+
+    def _show_frame(self, image: CameraImage) -> None:
+        self._arrived_s[image.frame] = image.arrived_monotonic_s
+        self._camera_box.put(image)
 
     def _publish(self) -> PrintStatus:
         clock_s, began_s = self._clock.now_s(), self._camera.started_s
@@ -185,8 +192,7 @@ class _Replay:
 
     def record(self) -> dict[str, Any]:
         """Return how late snapshots were, and what was seen at the end."""
-        late = np.array([value for value in self._latencies if np.isfinite(value)])
-        last = self._last
+        late, last = np.array(self._latencies), self._last
         return {
             "frames": self._recorder.written,
             "snapshots": len(self._latencies),
