@@ -26,6 +26,8 @@ from vialight.links import LiveLink, Mailbox, find_live_print
 from vialight.mesh import load_mesh
 from vialight.store import list_history, open_frames, read_json, read_series
 
+pytestmark = pytest.mark.alone
+
 _PATIENCE_S = 400.0
 """Kernels are compiled first where nothing has run before."""
 MORE_THAN_A_TURN = 50

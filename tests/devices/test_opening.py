@@ -15,6 +15,8 @@ from vialight.devices.opening import names_devices, open_camera, open_stage
 from vialight.devices.projectors import list_monitors
 from vialight.errors import InputError
 
+pytestmark = pytest.mark.alone
+
 CAMERA = {"pixel_mm": 0.155, "axis_column": 239.5, "optical_row": 149.5}
 PROJECTOR = {
     "distance_mm": 120.0, "pixel_mm": 0.065, "columns": 320, "rows": 240, "axis_column": 159.5, "azimuth_deg": -90.0,

@@ -18,6 +18,8 @@ from vialight.devices.stages.pi import PiStage
 from vialight.errors import InputError
 from vialight.printing import StageTrack
 
+pytestmark = pytest.mark.alone
+
 SPEED_DEG_S = 120.0
 SPEED_RAD_S = float(np.radians(SPEED_DEG_S))
 CLOCK = MonotonicClock()

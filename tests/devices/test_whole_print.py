@@ -28,7 +28,7 @@ from vialight.config import Rig, changed_rig
 from vialight.plan import Patterns, Plan
 from vialight.store import open_frames, read_json, rig_to_toml, write_plan
 
-pytestmark = needs_xvfb
+pytestmark = [needs_xvfb, pytest.mark.alone]
 
 SPEED_DEG_S = 120.0
 STAGE_LATENCY_DEG = 0.015 * SPEED_DEG_S

@@ -24,6 +24,8 @@ from vialight.links import PrintStatus, StopForecast, find_live_print, send_orde
 from vialight.printing import PrintSettings
 from vialight.store import FrameWriter, open_frames
 
+pytestmark = pytest.mark.alone
+
 
 def events(run: Path, kind: str) -> list[dict[str, Any]]:
     lines = (run / "log.jsonl").read_text().splitlines()

@@ -6,9 +6,12 @@ import threading
 import time
 
 import numpy as np
+import pytest
 
 from vialight.devices import StagePosition
 from vialight.printing import StageTrack
+
+pytestmark = pytest.mark.alone
 
 SPEED = float(np.radians(20.0))
 

@@ -23,6 +23,8 @@ from vialight.web.sockets import MESSAGE_LIMIT_BYTES, MOST_SOCKETS
 from web.clients import Client
 from web.pretend_print import PretendPrint
 
+pytestmark = pytest.mark.alone
+
 PRIVATE = ("/api/session", "/api/runs", "/api/runs/x", "/api/runs/x/report", "/api/runs/x/files/run.json")
 
 

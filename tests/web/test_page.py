@@ -19,6 +19,8 @@ from web.browser import chromium, opened, wait
 from web.clients import Client
 from web.pretend_print import RIG, Pretence, PretendPrint, PretendProcess
 
+pytestmark = pytest.mark.alone
+
 HOSTILE = '<img src=x onerror="document.title=1">.stl'
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from web.browser import chromium, wait
 from web.clients import Client
+
+pytestmark = pytest.mark.alone
 
 
 def test_without_webgl_a_page_says_so_and_shows_the_rest(client: Client, run_path: str) -> None:

@@ -10,9 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from printing.prints import write_quick_plan
 from vialight.web import PageProcess, PageSettings
 from web.browser import chromium, opened, wait
+
+pytestmark = pytest.mark.alone
 
 
 @contextmanager

@@ -20,6 +20,8 @@ from vialight.web.encoding import unpack
 from web.clients import Client
 from web.pretend_print import VOLUME_GRID, Pretence, PretendPrint, PretendProcess
 
+pytestmark = pytest.mark.alone
+
 STOP_WITHIN_S = 0.5
 """From the press to a black projector."""
 
