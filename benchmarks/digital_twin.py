@@ -44,7 +44,8 @@ def planned(path: Path, settings: PlanSettings | None = None) -> Plan:
         rig = path.with_suffix(".toml")
         rig.write_text(rig_to_toml(RESIN.in_vial_of(RIG)), encoding="utf-8")
         scale = float(SIZE_MM / load_mesh(part).extents_mm.max())
-        plan_part(part, rig, path, settings=replace(settings or PlanSettings(voxel_mm=0.1, ceiling=1.0), scale=scale))
+        settings = replace(settings or PlanSettings(voxel_mm=0.1, ceiling=1.0), scale=scale)
+        plan_part(part, rig, path, settings=settings, page=False)
     return read_plan(path)
 
 

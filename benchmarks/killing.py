@@ -59,7 +59,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="vialight-killing-") as name:
         folder = Path(name)
         settings = PlanSettings(voxel_mm=0.4, angles=90, passes=2)
-        plan_part(sample / "part.stl", sample / "printer.toml", folder / "plan.h5", settings=settings)
+        plan_part(sample / "part.stl", sample / "printer.toml", folder / "plan.h5", settings=settings, page=False)
         print("| killed | after light for, s | frames acknowledged | readable | dark after, s |")
         print("| --- | ---: | ---: | ---: | ---: |")
         found = []

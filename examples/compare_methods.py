@@ -27,7 +27,7 @@ def main() -> None:
     for method in get_args(MethodName):
         settings = PlanSettings(method=method, passes=2 if method == "gradient" else None, voxel_mm=0.3, angles=90)
         started = time.monotonic()
-        result = plan_part(part, printer, folder / f"{method}.h5", settings=settings)["metrics"]
+        result = plan_part(part, printer, folder / f"{method}.h5", settings=settings, page=False)["metrics"]
         figures = [result[name] for name in ("jaccard", "process_window", "in_part_dose_range", "voxel_error_rate")]
         print(f"{method:<14}" + "".join(f"{value:9.4f}" for value in figures) + f"{time.monotonic() - started:7.1f}")
 

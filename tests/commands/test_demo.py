@@ -22,6 +22,8 @@ from vialight.mesh import load_mesh
 from vialight.store import list_history, read_plan, read_series
 from vialight.twin import load_resin
 
+pytestmark = pytest.mark.alone
+
 SENSITIVITY = 0.8
 """Of the resin in the vial, relative to what the rig says it is."""
 
@@ -75,7 +77,18 @@ def test_kinetics_tell_density_and_dose_inside_and_out(made: tuple[Path, dict[st
     for name, (x, y, z) in {"inside": inside, "outside": (0.0, 6.5, 0.0)}.items():
         done = CliRunner().invoke(
             main,
-            ["kinetics", str(run), f"--at={x},{y},{z}", "--radius", "0.3", "--out", str(tmp_path / name), "--json"],
+            [
+                "kinetics",
+                str(run),
+                f"--at={x},{y},{z}",
+                "--radius",
+                "0.3",
+                "--voxel",
+                "0.31",
+                "--out",
+                str(tmp_path / name),
+                "--json",
+            ],
         )
         assert done.exit_code == 0, done.stderr
         found[name] = json.loads(done.stdout)

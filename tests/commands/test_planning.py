@@ -29,12 +29,6 @@ COARSE = PlanSettings(angles=60, voxel_mm=0.4, passes=6)
 
 
 @pytest.fixture
-def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages take longer than coarse plans, and are tested where they are made."""
-    monkeypatch.setattr("vialight.report.write_plan_page", lambda path, plan, dose: None)
-
-
-@pytest.fixture
 def rig(tmp_path: Path) -> Path:
     path = tmp_path / "rig.toml"
     path.write_text(PRINTER, encoding="utf-8")
@@ -54,12 +48,13 @@ def written(folder: Path) -> list[str]:
 
 def plan_in(folder: Path, part: Path, rig: Path, **how: Any) -> dict[str, Any]:
     folder.mkdir(exist_ok=True)
-    return plan_part(part, rig, folder / "plan.h5", **({"settings": COARSE} | how))
+    usual: dict[str, Any] = {"settings": COARSE, "page": False}
+    return plan_part(part, rig, folder / "plan.h5", **(usual | how))
 
 
 def test_a_part_becomes_a_plan_that_prints_it_by_traced_light(part: Path, rig: Path, tmp_path: Path) -> None:
     """A cup of 1.2 mm walls in 0.4 mm voxels: judged from its file, by the twin, it comes out whole."""
-    result = plan_in(tmp_path / "out", part, rig)
+    result = plan_in(tmp_path / "out", part, rig, page=True)
     assert written(tmp_path / "out") == ["plan.h5", "plan.html", "plan.json"]
     plan = read_plan(tmp_path / "out" / "plan.h5")
     assert json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8")) == json.loads(json.dumps(result))
@@ -80,7 +75,6 @@ def test_a_part_becomes_a_plan_that_prints_it_by_traced_light(part: Path, rig: P
 
 
 @pytest.mark.parametrize("method", ["object-space", "osmo", "normalised", "gradient"])
-@pytest.mark.usefixtures("no_page")
 def test_a_resumed_run_equals_one_that_ran_through(method: Any, part: Path, rig: Path, tmp_path: Path) -> None:
     settings = replace(COARSE, method=method, angles=24, passes=4 if method != "gradient" else 2)
     plan_in(tmp_path / "through", part, rig, settings=settings)
@@ -92,7 +86,6 @@ def test_a_resumed_run_equals_one_that_ran_through(method: Any, part: Path, rig:
     assert rest.metrics["passes"] == through.metrics["passes"]
 
 
-@pytest.mark.usefixtures("no_page")
 def test_a_run_that_is_stopped_writes_the_best_so_far(part: Path, rig: Path, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     result = plan_in(
@@ -106,7 +99,6 @@ def test_a_run_that_is_stopped_writes_the_best_so_far(part: Path, rig: Path, tmp
     np.testing.assert_array_equal(stopped.patterns.levels, short.patterns.levels)
 
 
-@pytest.mark.usefixtures("no_page")
 def test_a_plan_is_scored_anew_under_another_rig(part: Path, rig: Path, tmp_path: Path) -> None:
     """Under its own rig as planned; with absorption doubled, the same patterns bring less and less evenly."""
     # Passes enough that what is uneven is the absorption's doing.
@@ -204,7 +196,6 @@ def test_a_rig_that_cannot_print_is_refused_in_one_line(
     refused(part, rig, tmp_path, words)
 
 
-@pytest.mark.usefixtures("no_page")
 def test_a_state_of_another_grid_is_refused_in_one_line(part: Path, rig: Path, tmp_path: Path) -> None:
     plan_in(tmp_path / "first", part, rig, settings=replace(COARSE, passes=1), save_state=tmp_path / "state.npz")
     refused(part, rig, tmp_path, "state.npz", settings=replace(COARSE, angles=36), resume=tmp_path / "state.npz")
@@ -234,7 +225,6 @@ def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any], words: s
         PlanSettings(**wrong)
 
 
-@pytest.mark.usefixtures("no_page")
 def test_what_is_asked_for_stands_in_the_plan(part: Path, rig: Path, tmp_path: Path) -> None:
     asked = replace(COARSE, passes=1, angles=24, rotate_deg=(90.0, 0.0, 0.0), scale=0.5, coverage=True, climbing=True)
     result = plan_in(tmp_path / "out", part, rig, settings=asked)

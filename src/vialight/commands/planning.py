@@ -64,6 +64,7 @@ def plan_part(
     given: GivenProjections | None = None,
     resume: str | Path | None = None,
     save_state: str | Path | None = None,
+    page: bool = True,
     progress: Progress | None = None,
     keep_going: Callable[[], bool] = lambda: True,
 ) -> dict[str, Any]:
@@ -83,6 +84,8 @@ def plan_part(
         Projections to take instead.
     resume, save_state
         Go on from a saved state; save where the method stood at the end.
+    page
+        Whether to draw the page, which takes longer than a coarse plan.
     progress
         Called with passes done and to do.
     keep_going
@@ -113,7 +116,7 @@ def plan_part(
     plan = Plan(
         patterns, job.placement.mesh, job.target, job.grid, job.rig, asked, metrics | known, inputs
     )  # fmt: skip
-    return _write(out, plan, dose)
+    return _write(out, plan, dose if page else None)
 
 
 def _prepare(part_path: str | Path, rig: Rig, settings: PlanSettings) -> _Job:
@@ -215,9 +218,8 @@ def _light(grid: Grid, rig: Rig, room: Room, settings: PlanSettings) -> Light:
     )  # fmt: skip
 
 
-def _write(out: str | Path, plan: Plan, dose: Float32Array) -> dict[str, Any]:
-    from vialight.report import write_plan_page
-
+def _write(out: str | Path, plan: Plan, dose: Float32Array | None) -> dict[str, Any]:
+    """Write a plan, its metrics, and where there is a dose to show, the page."""
     out = Path(out)
     result = {
         "inputs": dict(plan.inputs),
@@ -234,5 +236,8 @@ def _write(out: str | Path, plan: Plan, dose: Float32Array) -> dict[str, Any]:
     with staged_folder(out.parent) as folder:
         write_plan(folder / out.name, plan)
         write_json(folder / f"{out.stem}.json", result)
-        write_plan_page(folder / f"{out.stem}.html", plan, dose)
+        if dose is not None:
+            from vialight.report import write_plan_page
+
+            write_plan_page(folder / f"{out.stem}.html", plan, dose)
     return result
