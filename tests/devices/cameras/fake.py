@@ -6,7 +6,7 @@ import fcntl
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -26,12 +26,12 @@ class FakeCamera:
 
     Parameters
     ----------
-    options
-        More of its command line.
+    command
+        What starts it.
     """
 
-    def __init__(self, *options: str) -> None:
-        self._command = [need_command("arv-fake-gv-camera-0.8", "aravis-tools"), "-i", ADDRESS, "-s", "V01", *options]
+    def __init__(self, command: Sequence[str]) -> None:
+        self._command = command
         self.start()
 
     def start(self) -> None:
@@ -52,16 +52,18 @@ class FakeCamera:
 
 
 @contextmanager
-def fake_camera(*options: str) -> Iterator[FakeCamera]:
-    """Run a fake camera; the port is the standard's, so that two runs of the tests take turns."""
+def fake_camera(*options: str, program: Sequence[str] = ()) -> Iterator[FakeCamera]:
+    """Run a fake camera, Aravis' or a program that is one; its port is the standard's, so that runs take turns."""
+    command = program or (need_command("arv-fake-gv-camera-0.8", "aravis-tools"), "-i", ADDRESS, "-s", "V01", *options)
     need_module("gi")
     try:
         load_aravis()
     except DeviceError as error:
         skip_without(str(error))
-    with (Path(tempfile.gettempdir()) / "vialight-gvcp.lock").open("w") as lock:
+    network = Path("/proc/self/ns/net").stat().st_ino
+    with (Path(tempfile.gettempdir()) / f"vialight-gvcp-{network}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        camera = FakeCamera(*options)
+        camera = FakeCamera(command)
         try:
             yield camera
         finally:

@@ -11,18 +11,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from devices.cameras.fake import ADDRESS, FakeCamera, fake_camera
 from vialight.config import Camera, CameraSettings
 from vialight.devices import CameraFrame, DeviceError, DeviceTimeoutError, MonotonicClock
 from vialight.devices.cameras import GenicamCamera, list_cameras, open_camera
-from vialight.devices.cameras.aravis import AravisLink
-from vialight.devices.cameras.links import RawFrame
 from vialight.errors import VialightWarning
 
-STREAMED_S = 7.0
+pytestmark = pytest.mark.alone
+
 SETTINGS = CameraSettings(device=ADDRESS, pixel_format="Mono16", region=(0, 0, 480, 300), exposure_s=0.01)
 
 
@@ -40,45 +38,6 @@ def table(**settings: Any) -> Camera:
 def fake() -> Iterator[FakeCamera]:
     with fake_camera() as camera:
         yield camera
-
-
-class Witness(AravisLink):
-    """A link that notes the stamps as they come: the fake camera's are those of the system's wall clock."""
-
-    def __init__(self, settings: CameraSettings) -> None:
-        super().__init__(settings)
-        self.stamps_s: list[float] = []
-
-    def next_frame(self, timeout_s: float) -> RawFrame | None:
-        frame = super().next_frame(timeout_s)
-        if frame is not None and frame.stamp_s is not None:
-            self.stamps_s.append(frame.stamp_s)
-        return frame
-
-
-@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
-def test_frames_stream_without_loss_and_with_their_own_times(fake: FakeCamera, rate_hz: float) -> None:
-    """For a minute in ``benchmarks/cameras.py``."""
-    link = Witness(SETTINGS)
-    camera = GenicamCamera(lambda: link, SETTINGS, MonotonicClock())
-    try:
-        assert (camera.image_shape, camera.full_level, camera.rounded) == ((300, 480), 65535, [])
-        camera.start(rate_hz)
-        frames = [camera.next_frame(5.0) for _ in range(int(STREAMED_S * rate_hz))]
-        wall_ahead_s = time.time() - time.monotonic()
-    finally:
-        camera.close()
-    assert [frame.number for frame in frames] == list(range(len(frames)))
-    assert (camera.incomplete, camera.overrun, camera.links_lost) == (0, 0, 0)
-    assert {(frame.counts.shape, frame.counts.dtype.name) for frame in frames} == {((300, 480), "uint16")}
-    assert max(int(frame.counts.max()) for frame in frames) > 255  # 16 bits are used
-    delay_s = np.array([f.time_s for f in frames]) - (np.array(link.stamps_s[: len(frames)]) - wall_ahead_s)
-    # What remains is the least delay: it is that of the quickest frames, and stays the same. 5 ms are 0.1 deg.
-    settled = delay_s[int(2 * rate_hz) :]
-    assert settled.min() > -1e-3
-    assert np.ptp(settled) < 5e-3
-    period_s = (frames[-1].time_s - frames[0].time_s) / (len(frames) - 1)
-    assert period_s == pytest.approx(1 / rate_hz, rel=0.02)
 
 
 def test_a_camera_that_was_killed_is_found_again_and_its_numbers_tell_for_how_long(fake: FakeCamera) -> None:
