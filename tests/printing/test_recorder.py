@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vialight.devices import CameraFrame, DeviceTimeoutError
+from vialight.devices import CameraFrame, DeviceLostError, DeviceTimeoutError
 from vialight.links import CameraImage
 from vialight.printing import EventLog, Recorder
 
@@ -36,6 +36,7 @@ class HandCamera:
 
     def __init__(self) -> None:
         self.frames: queue.Queue[CameraFrame] = queue.Queue()
+        self.trouble: str | None = None
 
     def start(self, frame_rate_hz: float) -> None:
         pass
@@ -44,6 +45,8 @@ class HandCamera:
         try:
             return self.frames.get(timeout=timeout_s)
         except queue.Empty:
+            if self.trouble:
+                raise DeviceLostError("camera", self.trouble) from None
             raise DeviceTimeoutError("camera", "no frame") from None
 
     def close(self) -> None:
@@ -87,3 +90,32 @@ def test_a_stamp_that_jumps_is_replaced_by_the_time_of_arrival_less_the_usual_de
     times = recorded_times(tmp_path, list(zip(stamps.tolist(), (true + 0.02).tolist(), strict=True)))
     np.testing.assert_allclose(times, true, atol=1e-9)
     assert "its time is off by" in (tmp_path / "log.jsonl").read_text()
+
+
+def test_the_fault_of_a_camera_that_is_silent_says_why_where_that_is_known(tmp_path: Path) -> None:
+    clock, camera = HandClock(), HandCamera()
+    log = EventLog(tmp_path / "log.jsonl", clock)
+    recorder = Recorder(camera, clock, RATE_HZ, lambda time_s: 0.0, log, lambda image: None)
+
+    def wait_for_fault(told: str | None) -> None:
+        deadline = time.monotonic() + 5.0
+        while recorder.camera_fault() != told:
+            assert time.monotonic() < deadline, recorder.camera_fault()
+            time.sleep(0.001)
+
+    recorder.start()
+    try:
+        wait_for_fault("no frame yet")
+        camera.frames.put(CameraFrame(np.zeros((2, 3), np.uint16), clock.time_s, 0))
+        wait_for_fault(None)
+        clock.time_s += 0.3
+        wait_for_fault("silent")
+        clock.time_s += 2.0
+        wait_for_fault("silent for 2 s")
+        camera.trouble = "the link is lost (it was unplugged); looking for the camera"
+        wait_for_fault(f"camera: {camera.trouble}")
+        camera.trouble = None
+        camera.frames.put(CameraFrame(np.zeros((2, 3), np.uint16), clock.time_s, 1))
+        wait_for_fault(None)
+    finally:
+        recorder.close()

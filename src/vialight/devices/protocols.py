@@ -35,6 +35,10 @@ class DeviceTimeoutError(DeviceError):
     """A device has not answered in time; it may yet come back."""
 
 
+class DeviceLostError(DeviceTimeoutError):
+    """The link to a device is lost, for a reason that is known; its driver looks for it."""
+
+
 class Clock(Protocol):
     """The print's only source of time: monotonic, the same in every process."""
 

@@ -157,8 +157,11 @@ class LightKeeper:
         for name, check in self._checks.items():
             if told := check():
                 health[name] = told
-        self.devices_health = health
-        return "; ".join(f"{name}: {told}" if name not in told else told for name, told in health.items()) or None
+        self.devices_health = {name: told.removeprefix(f"{name}: ") for name, told in health.items()}
+        return (
+            "; ".join(f"{name}: {told}" if name not in told else told for name, told in self.devices_health.items())
+            or None
+        )
 
     def _count_light(self) -> None:
         """Add the time, and the angle, for which light was on since the last beat."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.devices import Camera, CameraFrame, Clock, DeviceError, DeviceTimeoutError
+from vialight.devices import Camera, CameraFrame, Clock, DeviceError, DeviceLostError, DeviceTimeoutError
 from vialight.errors import InputError
 from vialight.links import CameraImage
 from vialight.printing.log import EventLog
@@ -75,7 +75,7 @@ class Recorder:
         self._highest = -1
         self._ending = threading.Event()
         self._arrived_s: float | None = None
-        self._silence = ""
+        self._lost = ""
         self._fault: str | None = None
         self._disk_told: str | None = None
         self._is_slow = False
@@ -114,9 +114,11 @@ class Recorder:
         if self._fault:
             return self._fault
         if self._arrived_s is None:
-            return "no frame yet"
-        late = self._clock.now_s() - self._arrived_s - self._period_s
-        return f"silent for {late + self._period_s:.2f} s" if late > _LATE_S else None
+            return self._lost or "no frame yet"
+        silent_s = self._clock.now_s() - self._arrived_s
+        if silent_s - self._period_s <= _LATE_S:
+            return None
+        return self._lost or ("silent" if silent_s < 1 else f"silent for {silent_s:.0f} s")
 
     def disk_fault(self) -> str | None:
         """Say what is wrong with the disk."""
@@ -140,14 +142,13 @@ class Recorder:
             try:
                 frame = self._camera.next_frame(_POLL_S)
             except DeviceTimeoutError as error:
-                self._note_silence(str(error))
+                self._lost = str(error) if isinstance(error, DeviceLostError) else ""
                 continue
             except DeviceError as error:
                 self._fault = str(error)
                 self._log.note("fault", str(error))
                 return
             self._arrived_s, arrived = self._clock.now_s(), time.monotonic()
-            self._silence = ""
             if frame.number in self._seen:
                 self._log.note("frame", number=frame.number, odd="came twice")
                 continue
@@ -157,12 +158,6 @@ class Recorder:
                 self._queue.put_nowait((frame, self._believable(frame), arrived))
             except queue.Full:
                 self._log.note("fault", "frames are lost: the disk is too slow", number=frame.number)
-
-    def _note_silence(self, told: str) -> None:
-        """Note, once, what a camera says of frames that should have come."""
-        if self._arrived_s is not None and told != self._silence and self.camera_fault():
-            self._silence = told
-            self._log.note("camera", odd=told)
 
     def _believable(self, frame: CameraFrame) -> float:
         """Return the time of a frame; where its stamp has jumped, that of its arrival less the usual delay.

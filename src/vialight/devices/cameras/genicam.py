@@ -23,7 +23,7 @@ from vialight.devices.cameras.features import (
 from vialight.devices.cameras.links import Link, OpenLink, RawFrame
 from vialight.devices.cameras.pixels import full_level, unpack
 from vialight.devices.cameras.timing import DeviceTime, FrameNumbers
-from vialight.devices.protocols import CameraFrame, Clock, DeviceError, DeviceTimeoutError
+from vialight.devices.protocols import CameraFrame, Clock, DeviceError, DeviceLostError, DeviceTimeoutError
 from vialight.errors import VialightError, VialightWarning
 
 _KEPT_S = 3.0
@@ -125,7 +125,9 @@ class GenicamCamera:
                     raise DeviceTimeoutError(self.name, "is not grabbing")
                 if not thread.is_alive():
                     raise DeviceError(self.name, self._trouble)
-                raise DeviceTimeoutError(self.name, self._trouble or f"no frame within {timeout_s:g} s")
+                if self._trouble:
+                    raise DeviceLostError(self.name, self._trouble)
+                raise DeviceTimeoutError(self.name, f"no frame within {timeout_s:g} s")
             return self._arrived.popleft()
 
     def close(self) -> None:
