@@ -18,7 +18,7 @@ from twin.test_print import upright_cylinder
 from vialight.arrays import Grid
 from vialight.config import Projector, ProjectorSettings, Rig
 from vialight.devices import DeviceError, Lease, MonotonicClock, ProjectorProcess
-from vialight.devices.projectors import list_monitors, open_projector, told_of_projector
+from vialight.devices.projectors import list_monitors, open_projector, randr, told_of_projector
 from vialight.devices.projectors.curtain import draw_curtain
 from vialight.devices.projectors.levels import light_of_levels, sent_levels
 from vialight.devices.projectors.window import WindowScreen
@@ -26,7 +26,7 @@ from vialight.errors import InputError
 from vialight.plan import Patterns, Plan
 from vialight.store import write_plan
 
-pytestmark = needs_xvfb
+pytestmark = [needs_xvfb, pytest.mark.alone]
 
 SIZE = (COLUMNS, ROWS)
 CORNER = (20, 31)
@@ -107,6 +107,24 @@ def test_what_is_drawn_reads_back_bit_for_bit_for_all_levels(screen: Xvfb) -> No
 def test_monitor_of_another_size_is_refused_with_both_sizes(screen: Xvfb) -> None:
     with pytest.raises(DeviceError, match=r"would scale the image: it shows 320 x 240 pixels.* has 1024 x 768"):
         WindowScreen(0, (1024, 768), PATTERNS, CORNER)
+
+
+def test_monitor_whose_image_x_scales_is_refused_with_the_way_out(
+    screen: Xvfb, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Xvfb itself scales nothing, and says so to `scaling_of`; here X answers as on a desktop at 125 %."""
+    assert list_monitors()[0].scaling == ""
+    one = 1 << 16
+    monkeypatch.setattr(randr, "_transform", lambda display, crtc: [5 * one // 4, 0, 0, 0, 5 * one // 4, 0, 0, 0, one])
+    with pytest.raises(DeviceError, match=r"would scale the image: X11 draws 1.25 x 1.25 .*xrandr --output screen"):
+        WindowScreen(0, SIZE, PATTERNS, CORNER)
+
+
+def test_window_that_is_not_as_large_as_the_projector_is_told(screen: Xvfb, monkeypatch: pytest.MonkeyPatch) -> None:
+    with window() as shown:
+        monkeypatch.setattr(shown._glfw, "get_framebuffer_size", lambda handle: (640, 480))
+        with pytest.raises(DeviceError, match=r"its window has 640 x 480 pixels, the rig's projector 320 x 240"):
+            shown.tend()
 
 
 def test_unknown_monitor_is_refused_with_those_there_are(screen: Xvfb) -> None:

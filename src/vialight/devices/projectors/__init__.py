@@ -9,10 +9,10 @@ from vialight.config import Projector as ProjectorTable
 from vialight.config import ProjectorSettings
 from vialight.devices.projecting import ProjectorProcess
 from vialight.devices.projectors.levels import read_flat_field
-from vialight.devices.projectors.monitors import Monitor, list_monitors
+from vialight.devices.projectors.monitors import Monitor, check_size, list_monitors
 from vialight.devices.protocols import Clock
 
-__all__ = ["Monitor", "list_monitors", "open_projector", "told_of_projector"]
+__all__ = ["Monitor", "check_size", "list_monitors", "open_projector", "told_of_projector"]
 
 
 def open_projector(

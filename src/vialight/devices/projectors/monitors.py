@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from vialight.devices.projectors.randr import scaling_of
 from vialight.devices.protocols import DeviceError
 from vialight.errors import InputError
 
@@ -21,6 +22,8 @@ class Monitor:
     columns: int
     rows: int
     refresh_hz: int
+    scaling: str = ""
+    """What X does to its image, in words; empty where it is shown as it is."""
 
     def __str__(self) -> str:
         return f"{self.index}: {self.name}, {self.columns} x {self.rows} at {self.refresh_hz} Hz"
@@ -69,6 +72,45 @@ def last_fault(glfw: Any) -> str:
     return text.decode(errors="replace") if text else f"code {code}"
 
 
+def check_size(monitor: Monitor, size: tuple[int, int]) -> None:
+    """See that a monitor shows an image of columns and rows pixel by pixel.
+
+    Raises
+    ------
+    DeviceError
+        It would be scaled.
+
+    Examples
+    --------
+    >>> check_size(Monitor(1, "DLP", 1280, 800, 60), (1280, 800))
+    """
+    if (monitor.columns, monitor.rows) != size:
+        raise DeviceError(
+            "projector", f"monitor {monitor} would scale the image: it shows {monitor.columns} x {monitor.rows} "
+            f"pixels, the rig's projector has {size[0]} x {size[1]}", "set it to the projector's own mode",
+        )  # fmt: skip
+    if monitor.scaling:
+        remedy = f"xrandr --output {monitor.name} --scale 1x1, or scale 100 % in the settings of the desktop"
+        raise DeviceError("projector", f"monitor {monitor} would scale the image: {monitor.scaling}", remedy)
+
+
+def check_window(glfw: Any, window: Any, size: tuple[int, int]) -> None:
+    """See that a full-screen window still fills its monitor, pixel by pixel.
+
+    Raises
+    ------
+    DeviceError
+        It does not.
+    """
+    if not glfw.get_window_monitor(window):
+        raise DeviceError("projector", "its monitor has gone", "connect it, and switch it on")
+    if (shown := glfw.get_framebuffer_size(window)) != size:
+        raise DeviceError(
+            "projector", f"its window has {shown[0]} x {shown[1]} pixels, the rig's projector {size[0]} x {size[1]}",
+            "set the scale of the desktop to 100 %, and leave its monitors alone",
+        )  # fmt: skip
+
+
 def full_screen_window(glfw: Any, monitor: int | str, size: tuple[int, int], title: str) -> tuple[Any, Monitor]:
     """Open a window that fills a monitor, without frame, cursor or screen saver.
 
@@ -84,11 +126,10 @@ def full_screen_window(glfw: Any, monitor: int | str, size: tuple[int, int], tit
     InputError
         There is no such monitor.
     DeviceError
-        It has another size, so that the image would be scaled; or the window cannot be opened.
+        The image would be scaled, or the window cannot be opened.
     """
     handle, found = _chosen(glfw, monitor)
-    if (found.columns, found.rows) != size:
-        raise _scaled(found, (found.columns, found.rows), size)
+    check_size(found, size)
     mode = glfw.get_video_mode(handle)
     for hint, value in (
         (glfw.CONTEXT_VERSION_MAJOR, 3), (glfw.CONTEXT_VERSION_MINOR, 3),
@@ -104,8 +145,7 @@ def full_screen_window(glfw: Any, monitor: int | str, size: tuple[int, int], tit
     glfw.set_input_mode(window, glfw.CURSOR, glfw.CURSOR_HIDDEN)
     glfw.make_context_current(window)
     glfw.poll_events()
-    if (shown := glfw.get_framebuffer_size(window)) != size:
-        raise _scaled(found, shown, size)
+    check_window(glfw, window, size)
     return window, found
 
 
@@ -124,11 +164,5 @@ def _chosen(glfw: Any, monitor: int | str) -> tuple[Any, Monitor]:
 def _described(glfw: Any, index: int, handle: Any) -> Monitor:
     name, mode = glfw.get_monitor_name(handle), glfw.get_video_mode(handle)
     columns, rows = mode.size
-    return Monitor(index, name.decode() if isinstance(name, bytes) else name, columns, rows, mode.refresh_rate)
-
-
-def _scaled(monitor: Monitor, shown: tuple[int, int], size: tuple[int, int]) -> DeviceError:
-    return DeviceError(
-        "projector", f"monitor {monitor} would scale the image: it shows {shown[0]} x {shown[1]} pixels, the rig's "
-        f"projector has {size[0]} x {size[1]}", "set the monitor to that mode, and its scale to 100 %",
-    )  # fmt: skip
+    name = name.decode() if isinstance(name, bytes) else name
+    return Monitor(index, name, columns, rows, mode.refresh_rate, scaling_of(glfw, handle))

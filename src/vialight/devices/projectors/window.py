@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vialight.config import Projector as ProjectorTable
 from vialight.config import ProjectorSettings
 from vialight.devices.projectors.levels import FULL, light_of_levels, read_flat_field, sent_levels
-from vialight.devices.projectors.monitors import full_screen_window, start_glfw
+from vialight.devices.projectors.monitors import check_window, full_screen_window, start_glfw
 from vialight.devices.protocols import DeviceError
 from vialight.errors import InputError
 from vialight.store import read_plan
@@ -94,10 +94,7 @@ class WindowScreen:
         self._glfw.poll_events()
         if self._glfw.window_should_close(self._window):
             raise DeviceError("projector", "its window was closed")
-        if not self._glfw.get_window_monitor(self._window):
-            raise DeviceError("projector", "its monitor has gone", "connect it, and switch it on")
-        if (size := self._glfw.get_framebuffer_size(self._window)) != self._size:
-            raise DeviceError("projector", f"its monitor shows {size[0]} x {size[1]} pixels all of a sudden")
+        check_window(self._glfw, self._window, self._size)
 
     def close(self) -> None:
         """Take the window away."""
