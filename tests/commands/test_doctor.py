@@ -19,6 +19,8 @@ from vialight.devices import CameraFrame
 from vialight.devices.projectors import Monitor
 from vialight.store import open_frames
 
+pytestmark = pytest.mark.alone
+
 FULL = 4095
 SPEED_DEG_S = 20.0
 
@@ -66,14 +68,22 @@ def test_a_monitor_must_have_the_projectors_pixels_and_be_as_quick() -> None:
     monitor = Monitor(1, "DLP", 1024, 768, 60)
     assert told(monitor_findings(monitor, 1024, 768, 32.0)) == [("ok", "monitor 1: DLP, 1024 x 768 at 60 Hz")]
     assert "would scale" in monitor_findings(monitor, 912, 1140, 32.0)[0].told
+    scaled = Monitor(1, "DLP", 1024, 768, 60, "X11 draws 2 x 2 of its pixels on each of the monitor")
+    assert "xrandr --output DLP --scale 1x1" in monitor_findings(scaled, 1024, 768, 32.0)[0].told
     assert "is slower than frame_rate_hz 120" in monitor_findings(monitor, 1024, 768, 120.0)[0].told
 
 
 @pytest.fixture(scope="module")
-def rig_path(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def controller() -> Controller:
+    """Of a stage that does not know where it is."""
+    return Controller()
+
+
+@pytest.fixture(scope="module")
+def rig_path(controller: Controller, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A rig whose camera and stage are there, on real transports."""
     path: Path = tmp_path_factory.mktemp("doctor") / "rig.toml"
-    with fake_camera(), served_over_tcp(Controller()) as address:
+    with fake_camera(), served_over_tcp(controller) as address:
         path.write_text(
             f"""
 geometry = "parallel"
@@ -104,11 +114,28 @@ def run(*arguments: object) -> tuple[int, dict[str, Any]]:
     return done.exit_code, json.loads(done.stdout)
 
 
+def test_doctor_moves_nothing_unless_it_may(
+    rig_path: Path, controller: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig = tmp_path / "rig.toml"
+    text = rig_path.read_text(encoding="utf-8")
+    rig.write_text("[stage]" + text.split("[stage]")[1], encoding="utf-8")
+    _, result = run("doctor", rig)
+    stage = [one for one in result["findings"] if one["device"] == "stage"]
+    assert [one["state"] for one in stage] == ["ok", "note"]
+    assert stage[1]["told"] == "was not turned; it does not know where it is"
+    assert "--move" in stage[1]["remedy"]
+    asked = {line.split()[0] for line in controller.heard if line.strip() and not line.split()[0].endswith("?")}
+    assert asked <= {"HLT"}  # the order to stand still
+    assert not controller.is_referenced
+
+
 def test_doctor_finds_a_camera_and_a_stage_on_real_transports(
     rig_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    _, result = run("doctor", rig_path, "--rate", 20)
+    _, result = run("doctor", rig_path, "--rate", 20, "--move")
     findings = result["findings"]
     assert {one["device"]: one["state"] for one in findings if one["state"] != "wrong"} == {
         "camera": "ok", "stage": "ok", "disk": "ok", "projector": "note",

@@ -33,20 +33,24 @@ def devices_command(as_json: bool) -> None:
 @click.command("doctor")
 @click.argument("rig", type=_FILE)
 @click.option("--rate", type=float, default=10.0, show_default=True, help="Frames a second that are wanted.")
+@click.option("--move", is_flag=True, help="Turn the stage for some seconds; it may go to its reference first.")
 @_as_json
-def doctor_command(rig: Path, rate: float, as_json: bool) -> None:
-    """Check each device that a RIG names, and say what is wrong and what to do; turns the stage, shows no light.
+def doctor_command(rig: Path, rate: float, move: bool, as_json: bool) -> None:
+    """Check each device that a RIG names, and say what is wrong and what to do.
+
+    No light is shown, and nothing moves unless --move is given.
 
     Exit code 0: all is well; 1: something is not.
 
     \b
     Example:
       vialight doctor rig.toml
+      vialight doctor rig.toml --move
     """
     with faults_told():
         from vialight.commands.doctor import check_instruments
 
-        result = check_instruments(rig, frame_rate_hz=rate, on_step=_say)
+        result = check_instruments(rig, frame_rate_hz=rate, move=move, on_step=_say)
         show(result, as_json, lambda: doctor_lines(result))
         if not result["is_well"]:
             sys.exit(FAILED)

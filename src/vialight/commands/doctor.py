@@ -18,8 +18,8 @@ from vialight.config import Camera as CameraTable
 from vialight.config import ProjectorSettings, Rig
 from vialight.devices import CameraFrame, DeviceError, DeviceTimeoutError, MonotonicClock, Stage
 from vialight.devices.cameras import GenicamCamera, open_camera
-from vialight.devices.opening import open_stage
-from vialight.devices.projectors import Monitor, list_monitors
+from vialight.devices.projectors import Monitor, check_size, list_monitors
+from vialight.devices.stages import reach_stage
 from vialight.errors import InputError, VialightError, VialightWarning
 from vialight.store import FrameWriter
 from vialight.twin import find_rig
@@ -51,11 +51,15 @@ class Finding:
 
 
 def check_instruments(
-    rig_path: str | Path, *, frame_rate_hz: float = 10.0, on_step: Callable[[str], None] = lambda message: None
+    rig_path: str | Path,
+    *,
+    frame_rate_hz: float = 10.0,
+    move: bool = False,
+    on_step: Callable[[str], None] = lambda message: None,
 ) -> dict[str, Any]:
     """Check each device that a rig names.
 
-    The stage turns for some seconds; no light is shown.
+    No light is shown, and nothing moves unless that is allowed.
 
     Parameters
     ----------
@@ -63,6 +67,8 @@ def check_instruments(
         TOML, or the name of a preset.
     frame_rate_hz
         That the camera should keep.
+    move
+        Whether the stage may turn, for some seconds; where it does not know where it is, it finds its reference first.
     on_step
         Told in words what is done.
 
@@ -80,7 +86,7 @@ def check_instruments(
     findings: list[Finding] = []
     checks: dict[str, Callable[[], list[Finding]]] = {
         "camera": lambda: _camera(rig, frame_rate_hz),
-        "stage": lambda: _stage(rig),
+        "stage": lambda: _stage(rig, move),
         "projector": lambda: _projector(rig),
     }
     for device, check in checks.items():
@@ -222,15 +228,18 @@ def _disk(frames: list[CameraFrame], frame_rate_hz: float) -> list[Finding]:
     return [Finding("disk", "ok" if is_quick else "wrong", told, "" if is_quick else "record on a quicker disk")]
 
 
-def _stage(rig: Rig) -> list[Finding]:
-    with contextlib.closing(open_stage(rig, MonotonicClock())) as stage:
+def _stage(rig: Rig, move: bool) -> list[Finding]:
+    with contextlib.closing(reach_stage(rig.stage, MonotonicClock())) as stage:
         slowest_s = _slowest_answer_s(stage)
         findings = [Finding("stage", "ok", f"answers within {1e3 * slowest_s:.1f} ms")]
         if slowest_s > _SLOW_ANSWER_S:
             told = f"takes {1e3 * slowest_s:.0f} ms to answer; a print waits for {1e3 * _SLOW_ANSWER_S:.0f}"
             findings = [Finding("stage", "wrong", told, "use USB or a cable of its own; raise the baud rate")]
+        if not move:
+            told = "was not turned" + ("" if stage.is_referenced() else "; it does not know where it is")
+            return [*findings, Finding("stage", "note", told, "take your hands away, and run doctor with --move")]
         wanted = rig.stage.speed_deg_s
-        stage.start(math.radians(wanted))
+        stage.prepared().start(math.radians(wanted))
         try:
             speed, ripple_deg = _speed_deg_s(stage, wanted)
         finally:
@@ -291,12 +300,13 @@ def monitor_findings(monitor: Monitor, columns: int, rows: int, frame_rate_hz: f
 
     Examples
     --------
-    >>> [one.told for one in monitor_findings(Monitor(1, "DLP", 1280, 800, 60), 1024, 768, 32.0)]
-    ['monitor 1: DLP, 1280 x 800 at 60 Hz would scale an image of 1024 x 768 pixels']
+    >>> [one.told for one in monitor_findings(Monitor(1, "DLP", 1280, 800, 60), 1280, 800, 32.0)]
+    ['monitor 1: DLP, 1280 x 800 at 60 Hz']
     """
-    if (monitor.columns, monitor.rows) != (columns, rows):
-        told = f"monitor {monitor} would scale an image of {columns} x {rows} pixels"
-        return [Finding("projector", "wrong", told, "set the monitor to the projector's own mode, or correct the rig")]
+    try:
+        check_size(monitor, (columns, rows))
+    except DeviceError as error:
+        return [Finding("projector", "wrong", str(error))]
     if monitor.refresh_hz < frame_rate_hz:
         told = f"monitor {monitor} is slower than frame_rate_hz {frame_rate_hz:g}"
         return [Finding("projector", "wrong", told, "choose a quicker mode, or lower frame_rate_hz")]

@@ -96,12 +96,17 @@ class PiStage:
         try:
             with self._talk(_ANSWER_S):
                 self._device.SVO(self._axis, True)
-                if not self._device.qFRF(self._axis)[self._axis] or self._room_deg(1) < _NEEDED_DEG:
+                if not self._knows_where_it_is() or self._room_deg(1) < _NEEDED_DEG:
                     self._refer()
         except BaseException:
             self.close()
             raise
         return self
+
+    def is_referenced(self) -> bool:
+        """Whether the controller knows where the stage is; where it does not, `prepared` moves it."""
+        with self._talk(_ANSWER_S):
+            return self._knows_where_it_is()
 
     def start(self, speed_rad_s: float) -> None:
         """Turn from now on, as far as the axis goes."""
@@ -170,10 +175,13 @@ class PiStage:
                 raise DeviceError("stage", f"has not found its reference within {_REFERENCE_S:g} s")
             time.sleep(_POLL_S)
         self._device.checkerror()
-        if not self._device.qFRF(self._axis)[self._axis]:
+        if not self._knows_where_it_is():
             raise DeviceError(
                 "stage", "has not found its reference", 'where it has no switch, set reference = "here" in the rig'
             )
+
+    def _knows_where_it_is(self) -> bool:
+        return bool(self._device.qFRF(self._axis)[self._axis])
 
     def _here_deg(self) -> float:
         self._device.errcheck = False  # a second question would double the time
