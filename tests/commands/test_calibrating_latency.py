@@ -18,6 +18,8 @@ from vialight.config import load_rig
 from vialight.devices import CameraFrame, DeviceTimeoutError, Lease, Shown
 from vialight.store import write_frames
 
+pytestmark = pytest.mark.alone
+
 RIG = """\
 [camera]
 pixel_mm = 0.2
@@ -97,11 +99,16 @@ def test_flashes_give_the_delays_of_projector_and_camera_together() -> None:
     assert abs(found.value - 0.042) < 4 * found.uncertainty
 
 
-def test_two_recordings_give_a_rig_whose_frames_would_have_had_the_same_angles(tmp_path: Path) -> None:
+def write_two_turns(folder: Path) -> None:
+    """Write ``forward.h5`` and ``backward.h5``, with a camera 20 ms late."""
     for name, speed, seed in (("forward", SPEED, 1), ("backward", -SPEED, 2)):
         turn = recorded(speed, 0.02, seed)
         images = np.clip(np.rint(turn.images + 20), 0, None).astype(np.uint16)[:, None]
-        write_frames(tmp_path / f"{name}.h5", images, turn.angles_rad, time_s=turn.times_s)
+        write_frames(folder / f"{name}.h5", images, turn.angles_rad, time_s=turn.times_s)
+
+
+def test_two_recordings_give_a_rig_whose_frames_would_have_had_the_same_angles(tmp_path: Path) -> None:
+    write_two_turns(tmp_path)
     (tmp_path / "rig.toml").write_text(RIG)
     told = CliRunner().invoke(
         main,

@@ -37,7 +37,8 @@ class Xvfb:
         os.close(write)
         with os.fdopen(read) as answer:
             self.display = f":{answer.readline().strip()}"
-        self._screen = np.memmap(folder / "Xvfb_screen0", np.uint8, "r")
+        self.framebuffer = folder / "Xvfb_screen0"
+        self._screen = np.memmap(self.framebuffer, np.uint8, "r")
         # The head of an XWD file, big-endian: its own length, ..., bytes a line, ..., colours.
         head = struct.unpack(">25I", self._screen[:100].tobytes())
         self._start, self._line = head[0] + 12 * head[19], head[12]

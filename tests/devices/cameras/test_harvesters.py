@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 from pathlib import Path
@@ -12,9 +13,11 @@ import pytest
 
 from needs import need_module
 from vialight.config import Camera, CameraSettings
-from vialight.devices import DeviceError, MonotonicClock
+from vialight.devices import DeviceError, DeviceTimeoutError, MonotonicClock
 from vialight.devices.cameras import list_cameras, open_camera
 from vialight.errors import InputError, VialightWarning
+
+pytestmark = pytest.mark.alone
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +55,28 @@ def test_the_demo_producer_streams_without_loss_at_an_even_pace(producer: Path) 
     assert 0 < frames[0].counts.max() <= 255
     assert not np.array_equal(frames[0].counts, frames[-1].counts)  # the ball has moved
     assert (frames[-1].time_s - frames[0].time_s) / 89 == pytest.approx(1 / 30, rel=0.02)
+
+
+def test_a_camera_that_falls_silent_is_opened_anew_with_its_settings_and_goes_on(producer: Path) -> None:
+    """The producer has no cable to pull: it is told to stop, behind the driver's back."""
+    camera = open_camera(table(producer, region=(0, 0, 320, 200)), MonotonicClock())
+    try:
+        camera.start(30.0)
+        before = [camera.next_frame(5.0) for _ in range(10)]
+        assert camera._link is not None
+        camera._link.features.execute("AcquisitionStop")
+        with contextlib.suppress(DeviceTimeoutError):  # what had come already
+            while True:
+                before.append(camera.next_frame(0.5))
+        after = [camera.next_frame(10.0) for _ in range(10)]
+    finally:
+        camera.close()
+    assert camera.links_lost == 1
+    assert {frame.counts.shape for frame in (*before, *after)} == {(200, 320)}
+    gone_s = after[0].time_s - before[-1].time_s
+    assert gone_s > 1.0
+    assert after[0].number - before[-1].number == pytest.approx(30.0 * gone_s, abs=3)
+    assert [frame.number for frame in after] == list(range(after[0].number, after[0].number + 10))
 
 
 def test_settings_are_read_back(producer: Path) -> None:
