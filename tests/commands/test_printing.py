@@ -21,7 +21,9 @@ from click.testing import CliRunner
 
 from printing.prints import BINNING, write_quick_plan
 from vialight.cli import main
+from vialight.commands import printing
 from vialight.devices.simulated.display import BLACK, read_flips
+from vialight.feedback import StopModel
 from vialight.links import LiveLink, Mailbox, find_live_print
 from vialight.mesh import load_mesh
 from vialight.store import list_history, open_frames, read_json, read_series
@@ -167,6 +169,16 @@ def test_options_of_the_simulated_printer_are_refused_where_the_rig_names_real_d
     assert told.exit_code == 2
     assert "the rig names real devices" in told.output
     assert not (tmp_path / "run").exists()
+
+
+def test_print_of_few_turns_is_told_that_its_forecast_comes_late(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seconds = np.array([[60.0], [30.0]])
+    model = StopModel(np.zeros((1, 3)), 0.2, np.array([0.7, 1.4]), seconds, 1.2 * seconds[:, 0], (), 18.0, np.zeros(12))
+    monkeypatch.setattr(printing, "kept_stop_model", lambda *_, **__: model)
+    told = print_on_instruments(tmp_path, "--stop", "auto").output
+    assert "wants light for 2.8 turns, and a forecast comes too late below 5" in told
 
 
 def test_print_whose_instruments_are_not_there_leaves_no_folder(tmp_path: Path) -> None:

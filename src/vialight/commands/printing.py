@@ -20,7 +20,7 @@ from vialight.config import Rig, ThresholdConditions
 from vialight.devices.opening import RealPrinter, names_devices
 from vialight.devices.simulated import Mishaps, SimulatedPrinter, WorldSettings
 from vialight.errors import InputError, VialightError
-from vialight.feedback import StopModel
+from vialight.feedback import FEWEST_TURNS, StopModel
 from vialight.links import PrintStatus
 from vialight.live import LiveSettings, LiveWatcher
 from vialight.mesh import Mesh, load_mesh
@@ -157,6 +157,11 @@ def print_part(
         model = kept_stop_model(
             job.plan, job.recorded, job.resin, voxel_mm=live.rehearsal_voxel_mm, progress=on_rehearsal
         )
+        if model.nominal_turns < FEWEST_TURNS:
+            on_step(
+                f"warning: this print wants light for {model.nominal_turns:.1f} turns, and a forecast comes too late "
+                f"below {FEWEST_TURNS:g}: lower the projector's irradiance, or turn faster"
+            )
     run = _new_folder(Path(out))
     started = time.monotonic()
     result = job.write_to(run, settings)

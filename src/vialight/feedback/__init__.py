@@ -11,10 +11,11 @@ is off, as it may be after a fault, and so does curing, but for what the dark cu
 
 from vialight.feedback.history import StopHistory, fresh_history, observe, places, sample
 from vialight.feedback.lateness import Lateness, lateness
-from vialight.feedback.model import Doubt, StopModel
+from vialight.feedback.model import FEWEST_TURNS, Doubt, StopModel
 from vialight.feedback.prediction import StopPrediction, predict, should_stop
 
 __all__ = [
+    "FEWEST_TURNS",
     "Doubt",
     "Lateness",
     "StopHistory",

@@ -13,6 +13,10 @@ from numpy.typing import ArrayLike
 from vialight.arrays import BoolArray, FloatArray, IntArray
 from vialight.errors import InputError
 
+FEWEST_TURNS = 5.0
+"""Of light, for a forecast that comes in time: what is seen is the mean of the last turn, and the last fifth of a print
+is much of a turn where it has few."""
+
 BLOCK_MM = 1.0
 """Places in a cube of this edge err together: between them they count as one."""
 
@@ -81,6 +85,11 @@ class StopModel:
             raise InputError("stop model sensitivities", f"are {self.sensitivities}", accepted="2 or more, ascending")
         if not (np.isfinite(self.stop_s).all() and (self.stop_s > 0).all()):
             raise InputError("stop model stop_s", f"is {self.stop_s}", accepted="positive times")
+
+    @property
+    def nominal_turns(self) -> float:
+        """Turns of light that a print in nominal resin wants."""
+        return float(np.exp(np.interp(0.0, np.log(self.sensitivities), np.log(self.stop_s)))) / self.turn_s
 
     @cached_property
     def block(self) -> IntArray:
