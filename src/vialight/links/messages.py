@@ -99,8 +99,25 @@ class CameraImage:
     """(row, column)."""
     time_s: float
     angle_deg: float
-    arrived_monotonic_s: float = 0.0
-    """When it came from the camera, by `time.monotonic`."""
+    arrivals_monotonic_s: tuple[float, ...] = (0.0,)
+    """When it came from the camera, by `time.monotonic`, and before that when those before it did."""
+
+    @property
+    def arrived_monotonic_s(self) -> float:
+        """When it came from the camera, by `time.monotonic`."""
+        return self.arrivals_monotonic_s[-1]
+
+    def arrival_of(self, frame: int) -> float:
+        """Return when a frame came that is not newer; NaN where it is too old to be known.
+
+        Examples
+        --------
+        >>> image = CameraImage(7, np.zeros((1, 1), np.uint16), 0.7, 14.0, (10.5, 10.6, 10.7))
+        >>> image.arrival_of(6), image.arrival_of(4)
+        (10.6, nan)
+        """
+        back = self.frame - frame
+        return self.arrivals_monotonic_s[-1 - back] if 0 <= back < len(self.arrivals_monotonic_s) else float("nan")
 
 
 @dataclass(frozen=True)

@@ -170,14 +170,14 @@ class _Follower:
         )  # fmt: skip
 
     def _latency(self, frames: int) -> float:
-        """Return the wall time since the newest frame used arrived; NaN where a newer one has come since."""
+        """Return the wall time since the newest frame used arrived; NaN where that is not known."""
         if self._camera is None and (self._settings.mailboxes / "camera").exists():
             self._camera = Mailbox(self._settings.mailboxes / "camera")
         newest = self._camera.newest() if self._camera is not None else None
         if newest is None:
             return float("nan")
         image: CameraImage = newest[1]
-        return time.monotonic() - image.arrived_monotonic_s if image.frame == frames - 1 else float("nan")
+        return time.monotonic() - image.arrival_of(frames - 1)
 
     def _foresee(self, time_s: float) -> None:
         if self._model is None or self._history is None or self._places is None:

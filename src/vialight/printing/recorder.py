@@ -70,6 +70,7 @@ class Recorder:
         self._writer: FrameWriter | None = None
         self._writer_lock = threading.Lock()
         self._delays: deque[float] = deque(maxlen=_NEWEST)
+        self._arrivals_s: deque[float] = deque(maxlen=_NEWEST)
         self._believed: tuple[int, float] | None = None
         self._seen: set[int] = set()
         self._highest = -1
@@ -210,7 +211,8 @@ class Recorder:
                     return
                 self.written += 1
         number = self.written - 1 if self._writer is not None else -1
-        self._on_written(CameraImage(number, frame.counts, time_s, float(np.rad2deg(angle)), arrived))
+        self._arrivals_s.append(arrived)
+        self._on_written(CameraImage(number, frame.counts, time_s, float(np.rad2deg(angle)), tuple(self._arrivals_s)))
 
 
 def room_for(folder: Path, image: NDArray[np.uint16], frames: int) -> tuple[int, int]:

@@ -22,7 +22,7 @@ export class Machine {
     facts($("machine-facts"), [
       ["Frames", `${frames} recorded, ${missed} missed`, missed > MISSED_SHARE * frames ? "bad" : ""],
       ["Rate", snapshot ? `${number(snapshot.frame_rate_hz, 1)} frames/s` : NONE],
-      ["Latency", snapshot ? `${number(snapshot.latency_s * 1000, 0)} ms from frame to snapshot` : NONE],
+      ["Latency", snapshot?.latency_s != null ? `${number(snapshot.latency_s * 1000, 0)} ms from frame to snapshot` : NONE],
       ["Older than a turn", snapshot ? `${number(snapshot.provisional_share * 100, 0)} % of rays` : NONE],
       ["Disk", `${bytes(free)} free, lasts ${duration(left)}`, left !== null && left < SHORT_OF_DISK_S ? "bad" : ""],
       ["Mode", status.mode],
