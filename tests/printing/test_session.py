@@ -56,6 +56,7 @@ def test_print_of_two_turns_has_light_for_two_turns_and_images_for_three(tmp_pat
     assert told["ended_by"] == "turns"
     assert told["lit_turns"] == pytest.approx(2.0, abs=0.03)
     assert told["fault"] is None
+    assert told["doubts"] == []  # the background is that of the rig's vial
     assert truth is not None
     with open_frames(tmp_path / "run" / "frames.h5") as frames:
         assert not frames.is_live
@@ -208,10 +209,12 @@ def test_stage_that_no_longer_answers_gets_no_light(tmp_path: Path) -> None:
 
 def test_stage_that_slows_by_a_fifth_still_gets_every_pattern_at_its_angle(tmp_path: Path) -> None:
     with quick_printer(tmp_path, rate=1.0, mishaps=Mishaps(stage_slow_at_s=5.0)) as printer:
-        told = quick_print(tmp_path, printer, turns=2.0)
+        told = quick_print(tmp_path, printer, turns=2.0, doubts=["[calibration.axis] is 120 days old"])
         flips = read_flips(printer.folder)
         segments = printer.devices.stage._segments  # type: ignore[attr-defined]
     assert told["lit_turns"] == pytest.approx(2.0, abs=0.03)
+    assert told["doubts"] == [entry["message"] for entry in events(tmp_path / "run", "doubt")]
+    assert "[calibration.axis] is 120 days old" in told["doubts"]
     slow = [flip for flip in flips if flip.pattern != BLACK and flip.time_s > 5.2]
     assert len(slow) > 50
     assert np.percentile(patterns_off(slow, segments), 99) <= 0.5 + SPEED_DEG_S / 32 / 4

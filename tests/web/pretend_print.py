@@ -233,6 +233,7 @@ class PretendPrint:
             state, "light on" if self.is_lit else "light off", now, self.lit_s, turn, max(remaining, 0.0), self.mode,
             int(now * 10), 2, 12_300_000_000, 4321.0, int(now * 20) % 60 if self.is_lit else None,
             {"stage": "ok", "camera": "ok", "projector": "ok", "led": "not answering since 2 s"},
+            ("[calibration.axis] is 120 days old",),
         )  # fmt: skip
         self._boxes["status"].put(status)
         shown = -1 if status.pattern is None else status.pattern

@@ -170,6 +170,7 @@ def test_state_figures_curves_and_machine_are_told_in_words(live: Page) -> None:
     machine = live.inner_text("#machine-facts")
     assert "12.3 GB free, lasts 1 h 12 min" in machine
     assert "not answering since 2 s" in machine
+    assert "[calibration.axis] is 120 days old" in machine
     wait(live, "document.querySelector('.charts canvas').getAttribute('aria-label').includes(' s: print to')")
     assert live.locator(".charts canvas").count() == 4
 

@@ -84,18 +84,20 @@ def scale(
 @click.argument("run", type=_FILE)
 @click.option("--rig", type=_FILE, callback=rig_named, help="To compare with. [default: that of the run]")
 @_turn
+@click.option("--out", type=_FILE, help="A new rig that keeps how sharp and bright this run is, for later ones.")
 @_as_json
-def check(run: Path, rig: Path | None, turn: int | None, as_json: bool) -> None:
-    """Say whether the calibration of a RUN (a folder, or frames with --rig) is still good.
+def check(run: Path, rig: Path | None, turn: int | None, out: Path | None, as_json: bool) -> None:
+    """Say whether the calibration of a RUN (a folder, or frames with --rig) is still good; check.html shows it.
 
     \b
     Example:
       vialight calibrate check run
+      vialight calibrate check good-run --out rig-with-reference.toml
     """
     with faults_told():
         from vialight.commands.calibrating import check_calibration
 
-        result = check_calibration(run, rig, turn=turn)
+        result = check_calibration(run, rig, turn=turn, out=out)
         show(result, as_json, lambda: check_lines(result))
 
 

@@ -88,6 +88,7 @@ def print_lines(result: dict[str, Any], out: Path) -> list[str]:
     ]
     if printed["forecast"]:
         lines.append(f"forecast        {printed['forecast']['why']}")
+    lines += [f"doubtful        {doubt}" for doubt in printed["doubts"]]
     if printed["fault"]:
         lines.append(f"fault           {printed['fault']}")
     lines += [f"written to      {out} in {result['elapsed_s']:.1f} s", ""]
@@ -212,8 +213,10 @@ def kinetics_lines(result: dict[str, Any], out: Path) -> list[str]:
 
 def check_lines(result: dict[str, Any]) -> list[str]:
     """Tabulate what has changed since a calibration."""
-    lines = [f"{'':<30}{'rig':>12}{'found':>12}{'may differ':>12}"]
+    lines = [f"{'':<40}{'expected':>12}{'found':>12}{'may differ':>12}"]
     for check in result["checks"]:
         values = "".join(f"{check[key]:12.4g}" for key in ("rig", "found", "allowed"))
-        lines.append(f"{check['what']:<30}{values} {check['unit']:<8}{'' if check['good'] else 'CHANGED'}".rstrip())
-    return [*lines, "the calibration is still good" if result["good"] else "calibrate again"]
+        changed = "" if check["good"] else f"CHANGED: {check['means']}"
+        lines.append(f"{check['what']:<40}{values} {check['unit']:<8}{changed}".rstrip())
+    verdict = "the calibration is still good" if result["good"] else "calibrate again"
+    return [*lines, *result["notes"], verdict, f"page: {result['page']}"]

@@ -7,6 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from vialight.links import PrintStatus
 from vialight.live import LiveSettings, LiveWatcher
 from vialight.mesh import Mesh, load_mesh
 from vialight.plan import Plan
-from vialight.printing import PrintSettings, print_plan
+from vialight.printing import PrintSettings, doubts_of_rig, print_plan
 from vialight.report import growth_figure
 from vialight.store import read_plan, rig_to_toml, write_json, write_stl
 from vialight.twin import ResinModel, TwinSettings, find_rig, load_resin, resin_names
@@ -179,7 +180,7 @@ def print_part(
         try:
             printed = print_plan(
                 job.recorded, printer.devices, run, printer.folder, settings, watcher,
-                keep_going=keep_going, on_status=on_status,
+                keep_going=keep_going, on_status=_telling_doubts(on_status, on_step), doubts=job.doubts(),
             )  # fmt: skip
         except BaseException as error:
             write_json(run / RUN, result | {"state": "failed", "error": str(error) or type(error).__name__})
@@ -191,6 +192,22 @@ def print_part(
     result |= _measured(run, live.tolerance_mm, 360 / job.rig.stage.speed_deg_s)
     write_json(run / RUN, result)
     return result
+
+
+def _telling_doubts(
+    on_status: Callable[[PrintStatus], None], on_step: Callable[[str], None]
+) -> Callable[[PrintStatus], None]:
+    """Return what passes a status on, and tells each doubt once."""
+    told: set[str] = set()
+
+    def tell(status: PrintStatus) -> None:
+        for doubt in status.doubts:
+            if doubt not in told:
+                on_step(f"doubtful: {doubt}")
+        told.update(status.doubts)
+        on_status(status)
+
+    return tell
 
 
 @contextlib.contextmanager
@@ -278,6 +295,10 @@ class _Job:
         }  # fmt: skip
         write_json(run / RUN, begun)
         return begun
+
+    def doubts(self) -> list[str]:
+        """Say what is doubtful of the rig; the twin is always as it was calibrated."""
+        return doubts_of_rig(self.rig, datetime.now().astimezone()) if self.is_real else []
 
     def printer(self, run: Path) -> SimulatedPrinter | RealPrinter:
         """Start the printer that the rig names, or the twin."""

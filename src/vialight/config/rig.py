@@ -146,6 +146,21 @@ class Calibration(Table):
     method: str = ""
 
 
+class Reference(Table):
+    """What a run looked like that was good: sharpness and brightness, with which later runs are compared.
+
+    ``streak_columns``, ``streak_counts`` and ``streak_middle_column`` are width (standard deviation), sum and middle of
+    the light at the vial's edges, ``edge_columns`` is how soft the part's sharpest edges were; ``conditions`` what
+    they belong to.
+    """
+
+    streak_columns: Length | None = None
+    streak_counts: Length | None = None
+    streak_middle_column: Finite | None = None
+    edge_columns: Length | None = None
+    conditions: ThresholdConditions | None = None
+
+
 class Rig(Table):
     """All that is known of a printer; see ``docs/reference.md`` for every key."""
 
@@ -158,6 +173,7 @@ class Rig(Table):
     stage: Stage = Stage()
     uncertainty: Uncertainty | None = None
     calibration: dict[str, Calibration] | None = None
+    reference: Reference | None = None
     source: Annotated[str, Field(exclude=True, repr=False)] = "rig"
 
     def need_camera(self) -> Camera:

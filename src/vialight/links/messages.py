@@ -148,3 +148,5 @@ class PrintStatus:
     """Index of the pattern that is shown; None where it is black."""
     devices: dict[str, str] = field(default_factory=dict)
     """Name to "ok", or to what is wrong."""
+    doubts: tuple[str, ...] = ()
+    """What makes the calibration doubtful."""

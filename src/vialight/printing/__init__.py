@@ -4,11 +4,13 @@
 - `light`: leave for the projector, given only while everything is well
 - `recorder`: every frame on disk before it counts
 - `preflight`: what is checked before the first light
+- `doubts`: what makes the calibration doubtful, which is told
 - `settings`, `watching`: how to print, and what is asked of who measures it
 - `session`: the order of it all
 - `sweeping`: patterns one after the other, for calibration
 """
 
+from vialight.printing.doubts import doubts_of_background, doubts_of_rig
 from vialight.printing.light import LightKeeper
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder
@@ -27,6 +29,8 @@ __all__ = [
     "StageTrack",
     "SweepFrames",
     "Watcher",
+    "doubts_of_background",
+    "doubts_of_rig",
     "print_plan",
     "record_sweep",
     "stop_settings",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from vialight.devices import DeviceError, Devices
 from vialight.errors import InputError
 from vialight.links import CameraImage, ControlServer, LiveLink, Mailbox, PrintStatus, StopForecast
 from vialight.printing import preflight
+from vialight.printing.doubts import doubts_of_background
 from vialight.printing.light import LightKeeper
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder, room_for
@@ -35,6 +36,7 @@ _SPEED_TOLERANCE = 0.02
 def print_plan(
     rig: Rig, devices: Devices, run: Path, mailboxes: Path, settings: PrintSettings, watcher: Watcher, *,
     keep_going: Callable[[], bool] = lambda: True, on_status: Callable[[PrintStatus], None] = lambda status: None,
+    doubts: Sequence[str] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """Print, and record all of it.
 
@@ -56,6 +58,8 @@ def print_plan(
         Asked all the time: False ends the light at once, and then the print in its usual way.
     on_status
         Called a few times a second.
+    doubts
+        Of the rig's calibration, as known so far; told with what the background shows.
 
     Returns
     -------
@@ -69,7 +73,7 @@ def print_plan(
     DeviceError
         A device fails before there is light.
     """
-    session = _Session(rig, devices, run, mailboxes, settings, watcher, keep_going, on_status)
+    session = _Session(rig, devices, run, mailboxes, settings, watcher, keep_going, on_status, doubts)
     with ControlServer(session.obey) as control:
         LiveLink(os.getpid(), str(mailboxes), control.address, control.key).publish(run)
         try:
@@ -91,12 +95,13 @@ class _Session:
 
     def __init__(
         self, rig: Rig, devices: Devices, run: Path, mailboxes: Path, settings: PrintSettings, watcher: Watcher,
-        keep_going: Callable[[], bool], on_status: Callable[[PrintStatus], None],
+        keep_going: Callable[[], bool], on_status: Callable[[PrintStatus], None], doubts: Sequence[str],
     ) -> None:  # fmt: skip
         self._rig, self._devices, self._run, self._settings = rig, devices, run, settings
         self._watcher, self._keep_going, self._on_status = watcher, keep_going, on_status
         self._speed = float(np.radians(rig.stage.speed_deg_s))
         self._log = EventLog(run / "log.jsonl", devices.clock)
+        self._doubts = tuple(doubts)
         self._track = StageTrack()
         self._camera_box = Mailbox(mailboxes / "camera", 2**16 + 2 * int(np.prod(devices.camera.image_shape)))
         self._status_box = Mailbox(mailboxes / "status", 2**16)
@@ -152,7 +157,10 @@ class _Session:
         self._pass_time(self._turn_s + 1 / self._settings.frame_rate_hz)
         self._recorder.write_to(None)
         with open_frames(path) as frames:
-            dark = frames.read(slice(None))
+            dark, angles_rad = frames.read(slice(None)), frames.angles_rad
+        self._doubts += tuple(doubts_of_background(self._rig, dark, angles_rad))
+        for doubt in self._doubts:
+            self._log.note("doubt", doubt)
         settings = {"frame_rate_hz": self._settings.frame_rate_hz}
         self._recorder.write_to(FrameWriter(self._run / "frames.h5", shape, dark=dark, settings=settings))
         self._wait(lambda: self._recorder.written > 0, "camera", "has sent no frame")
@@ -215,6 +223,7 @@ class _Session:
             "frames_missed": self._recorder.missed,
             "fault": self._gave_up_on or self._light.fault,
             "forecast": None if self._forecast is None else asdict(self._forecast),
+            "doubts": list(self._doubts),
         }
 
     def obey(self, order: Mapping[str, Any]) -> dict[str, Any]:
@@ -300,6 +309,7 @@ class _Session:
             disk_left_s=free / needed / self._settings.frame_rate_hz, pattern=self._light.pattern,
             devices={"camera": "ok", "stage": "ok", "projector": "ok", "disk": "ok", "live": "ok"}
             | self._light.devices_health,
+            doubts=self._doubts,
         )  # fmt: skip
         self._status_box.put(status)
         self._on_status(status)

@@ -1,7 +1,7 @@
 """The report and the pages of plan and calibration: HTML files that hold all, to be read now and in ten years."""
 
 from vialight.report.calibration_figures import sweep_png, working_curve_png
-from vialight.report.calibration_page import write_calibration_page
+from vialight.report.calibration_page import write_calibration_page, write_check_page
 from vialight.report.colours import colour_limit_mm, deviation_colours
 from vialight.report.geometry_figures import axis_round_png, frame_png, mirror_png
 from vialight.report.growth import growth_figure
@@ -32,6 +32,7 @@ __all__ = [
     "view_from_above_png",
     "working_curve_png",
     "write_calibration_page",
+    "write_check_page",
     "write_plan_page",
     "write_report",
     "write_timelapse",

@@ -47,6 +47,37 @@ def write_calibration_page(
     write_page(path, "calibration.html", lambda: _content(findings, found, rig, figures, provenance))
 
 
+def write_check_page(
+    path: str | Path, result: Mapping[str, Any], *, figures: Sequence[Figure] = (), provenance: Provenance | None = None
+) -> None:
+    """Write what a check of a calibration found as one HTML file.
+
+    Parameters
+    ----------
+    path
+        The file to make; it appears whole, or not at all.
+    result
+        ``run``, ``good``, ``checks`` and ``notes`` as `vialight calibrate check` has them.
+    figures
+        Pictures, in this order.
+    provenance
+        Inputs and versions.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    checks = [
+        (check["what"], *(value_text(float(f"{check[key]:.4g}")) for key in ("rig", "found", "allowed")), check["unit"],
+         check["good"], check["means"])
+        for check in result["checks"]
+    ]  # fmt: skip
+    findings = Findings("check", f"{Path(result['run']).name}, compared with its rig", (), result["notes"])
+    content = {"good": result["good"], "checks": checks}
+    write_page(path, "check.html", lambda: _content(findings, (), "", figures, provenance or Provenance()) | content)
+
+
 def value_text(value: Any, uncertainty: float | None = None) -> str:
     """Return a value with two figures of its uncertainty.
 

@@ -2,30 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vialight.calibrate import AXIS, DRIFT, OUT_X, OUT_Y, AxisFit
-from vialight.calibrate.edges import edge_x_c_mm
-from vialight.calibrate.scale import STREAK_COLUMNS
+from vialight.calibrate import AXIS, DRIFT, OUT_X, OUT_Y, AxisFit, Finding, Findings
+from vialight.calibrate.appearance import Streaks, sharpest_edges, streaks_of
+from vialight.calibrate.checks import (
+    LEAST_COLUMNS,
+    SURE,
+    Check,
+    drift_check,
+    reference_checks,
+    run_out_check,
+    stated_std,
+    width_check,
+)  # fmt: skip
 from vialight.commands.calibrating.axis import axis_of
 from vialight.commands.calibrating.turns import CalibrationTurn, calibration_turn
-from vialight.config import Rig, load_rig
-from vialight.wobble import vial_centre_mm
+from vialight.commands.calibrating.writing import check_out, write_calibrated
+from vialight.commands.provenance import inputs_json, versions
+from vialight.config import Rig, ThresholdConditions, load_rig
+from vialight.diagnostics import Picture
+from vialight.store import staged_folder, write_json
 
-_SURE = 3.0
-"""Standard uncertainties off from which on something has changed."""
+if TYPE_CHECKING:
+    from vialight.report import Figure
 
-_LEAST_COLUMNS, _LEAST_MM, _LEAST_DRIFT = 0.1, 0.015, 0.01
-"""Less than this matters to nobody: columns of the axis, mm of run-out, share of the light a turn."""
+PAGE = "check.html"
 
 
 def check_calibration(
-    run: str | Path, rig_path: str | Path | None = None, *, turn: int | None = None
+    run: str | Path, rig_path: str | Path | None = None, *, turn: int | None = None, out: str | Path | None = None
 ) -> dict[str, Any]:
-    """Compare what a run's frames say of axis, run-out, vial and light with what its rig says.
+    """Compare what a run's frames say of axis, run-out, vial, focus and light with what its rig says.
 
     Parameters
     ----------
@@ -35,66 +47,135 @@ def check_calibration(
         By default the run's.
     turn
         By default the last full one.
+    out
+        A new rig that keeps how sharp and bright this run is, for later ones to be compared with.
 
     Returns
     -------
     dict
-        ``checks``: what, the rig's value, what is found, by how much it may differ, and whether it does.
+        ``checks``: what, the rig's value, what is found, by how much it may differ, whether it does, and what that
+        means; ``page``, which lies beside the frames.
 
     Raises
     ------
     InputError
-        The frames cannot be used.
+        The frames cannot be used, or `out` cannot be written.
     """
     run = Path(run)
     frames = run / "frames.h5" if run.is_dir() else run
     rig_path = Path(rig_path) if rig_path else run / "rig.toml"
+    page = run / PAGE if run.is_dir() else run.with_name(f"{run.stem}.{PAGE}")
+    if out is not None:
+        check_out(rig_path, out)
     rig = load_rig(rig_path)
-    with calibration_turn(frames, rig, frames.with_name("calibration.toml"), turn) as taken:
+    with calibration_turn(frames, rig, page if out is None else out, turn) as taken:
         found = axis_of(taken, rig)
-        checks = [_axis(found, taken, rig), _light(found)]
-        if taken.scan.optics is not None:
-            checks += [_run_out(found, rig), *_width(found, taken)]
-        if found.direction not in (None, rig.stage.direction):
-            checks.append(_check("turning sense", rig.stage.direction, found.direction, 0.0, ""))
-    return {"run": str(run), "rig": str(rig_path), "good": all(check["good"] for check in checks), "checks": checks}
+        conditions = rig.imaged_under(taken.scan.frames.settings)
+        streaks, edges = _appearance(taken)
+        checks = [_axis(found, taken, rig), *_others(found, taken, rig)]
+        if rig.reference is not None:
+            checks += reference_checks(streaks, edges, conditions, rig.reference)
+        figures = _figures(found, taken, rig)
+    result = {
+        "run": str(run),
+        "rig": str(rig_path),
+        "page": str(page),
+        "good": all(check.good for check in checks),
+        "checks": [asdict(check) | {"good": check.good} for check in checks],
+        "notes": _notes(rig),
+        "inputs": inputs_json(frames=frames, rig=rig_path),
+        "versions": versions(),
+    }
+    _write_page(page, result, figures)
+    if out is not None:
+        write_calibrated(_kept(streaks, edges, conditions), rig_path, frames, out, figures=figures)
+    return result
 
 
-def _check(what: str, rig: float, found: float | None, allowed: float, unit: str) -> dict[str, Any]:
-    good = found is not None and abs(found - rig) <= allowed
-    return {"what": what, "rig": rig, "found": found, "allowed": allowed, "unit": unit, "good": bool(good)}
+def _appearance(taken: CalibrationTurn) -> tuple[Streaks | None, float | None]:
+    """Return the light at the vial's edges, and the softness of the part's, in pixels of the recording."""
+    scan, binning = taken.scan, taken.scan.binning
+    edges = sharpest_edges(taken.counts)
+    seen = None if scan.optics is None else streaks_of(taken.profiles, scan.camera, scan.optics)
+    if seen is not None:
+        seen = Streaks(seen.columns * binning, seen.counts / binning**2, taken.column_of(seen.middle))
+    return seen, None if edges is None else edges * binning
 
 
-def _stated(rig: Rig, table: str, key: str) -> float:
-    stated = getattr(rig.uncertainty, table, None) if rig.uncertainty else None
-    return float((stated or {}).get(key, 0.0))
-
-
-def _axis(found: AxisFit, taken: CalibrationTurn, rig: Rig) -> dict[str, Any]:
-    std = np.hypot(found.fit.std[AXIS] * taken.scan.binning, _stated(rig, "camera", "axis_column"))
+def _axis(found: AxisFit, taken: CalibrationTurn, rig: Rig) -> Check:
+    std = np.hypot(found.fit.std[AXIS] * taken.scan.binning, stated_std(rig, "camera", "axis_column"))
     column = taken.column_of(float(found.fit.parameters[AXIS]))
-    return _check("axis", rig.need_camera().axis_column, column, max(_LEAST_COLUMNS, _SURE * float(std)), "column")
+    allowed = max(LEAST_COLUMNS, SURE * float(std))
+    return Check("axis", rig.need_camera().axis_column, column, allowed, "column", "the camera has moved aside")
 
 
-def _light(found: AxisFit) -> dict[str, Any]:
-    allowed = max(_LEAST_DRIFT, _SURE * float(found.fit.std[DRIFT]))
-    return _check("drift of the light in a turn", 0.0, float(found.fit.parameters[DRIFT]), allowed, "")
+def _others(found: AxisFit, taken: CalibrationTurn, rig: Rig) -> list[Check]:
+    value, std = found.fit.parameters, found.fit.std
+    checks = [drift_check(float(value[DRIFT]), float(std[DRIFT]))]
+    if taken.scan.optics is not None:
+        checks.append(run_out_check(value[[OUT_X, OUT_Y]], float(std[OUT_X]), rig))
+        if found.circle is not None:
+            checks += width_check(found.circle, taken.scan.camera, taken.scan.optics, taken.scan.binning)
+    if found.direction not in (None, rig.stage.direction):
+        means = "the stage turns the other way: what is measured is mirrored"
+        checks.append(Check("turning sense", rig.stage.direction, float(found.direction or 0), 0.0, "", means))
+    return checks
 
 
-def _run_out(found: AxisFit, rig: Rig) -> dict[str, Any]:
-    off = found.fit.parameters[[OUT_X, OUT_Y]] - np.array(vial_centre_mm(rig.stage.run_out))
-    std = np.hypot(float(found.fit.std[OUT_X]), _stated(rig, "stage", "run_out.radius_mm"))
-    return _check("change of the run-out", 0.0, float(np.hypot(*off)), max(_LEAST_MM, _SURE * float(std)), "mm")
-
-
-def _width(found: AxisFit, taken: CalibrationTurn) -> list[dict[str, Any]]:
-    """Compare the vial's width with the rig's, where both edges show."""
-    scan, circle = taken.scan, found.circle
-    if scan.optics is None or circle is None or not np.isfinite([circle.left, circle.right]).all():
+def _notes(rig: Rig) -> list[str]:
+    if rig.reference is not None:
         return []
-    expected = 2 * edge_x_c_mm(scan.optics) / scan.camera.pixel_mm
-    width = circle.right - circle.left
-    allowed = _SURE * np.sqrt(2) * STREAK_COLUMNS
     return [
-        _check("width of the vial", expected * scan.binning, width * scan.binning, allowed * scan.binning, "columns")
+        "Focus and brightness are not compared: the rig has no [reference]. After a run that is good, "
+        "`vialight calibrate check RUN --out NEW_RIG.toml` keeps what it looked like."
     ]
+
+
+def _kept(streaks: Streaks | None, edges: float | None, conditions: ThresholdConditions) -> Findings:
+    found: dict[str, float | None] = {
+        "streak_columns": None, "streak_counts": None, "streak_middle_column": None, "edge_columns": edges,
+    }  # fmt: skip
+    if streaks is not None:
+        middle = streaks.middle if np.isfinite(streaks.middle) else None
+        found |= {"streak_columns": streaks.columns, "streak_counts": streaks.counts, "streak_middle_column": middle}
+    said = {
+        "streak_columns": "width of the light at the vial's edges", "streak_counts": "its sum across",
+        "streak_middle_column": "midway between the two", "edge_columns": "softness of the part's sharpest edges",
+    }  # fmt: skip
+    values = [
+        Finding("reference", key, None if value is None else float(f"{value:.5g}"), None, said[key])
+        for key, value in found.items()
+    ]
+    values += [
+        Finding("reference.conditions", key, value, None, "of the recording")
+        for key, value in conditions.model_dump().items()
+    ]
+    return Findings("reference", "what a run looked like that was good", values)
+
+
+def _figures(found: AxisFit, taken: CalibrationTurn, rig: Rig) -> list[Figure]:
+    from vialight.report import axis_round_png, frame_png, mirror_png
+
+    scan, value = taken.scan, found.fit.parameters
+    seen = scan.camera.model_copy(update={"axis_column": float(value[AXIS])})
+    before = scan.camera if abs(scan.camera.axis_column - seen.axis_column) > LEAST_COLUMNS else None
+    return [
+        Picture("frame", "A frame, with the axis as found",
+                "Axis and vial as they are seen now; where the rig has the axis elsewhere, that is shown too.",
+                frame_png(taken.frame, seen, scan.optics, before=before)),
+        Picture("mirror", "Opposite views",
+                "One row of the sinogram less its mirror image: as the rig has the axis, and as it is found. Where the "
+                "calibration is good, the two are alike.",
+                mirror_png(found.before, found.fit.comparison, np.degrees(taken.angles_rad))),
+        Picture("round", "The vial as it turns", "Its edges, and each frame's own axis, about the stage's angle.",
+                axis_round_png(found)),
+    ]  # fmt: skip
+
+
+def _write_page(path: Path, result: dict[str, Any], figures: list[Figure]) -> None:
+    from vialight.report import Provenance, write_check_page
+
+    with staged_folder(path.parent) as folder:
+        write_json(folder / f"{path.stem}.json", result)
+        provenance = Provenance(inputs=result["inputs"], versions=result["versions"])
+        write_check_page(folder / path.name, result, figures=figures, provenance=provenance)

@@ -5,6 +5,11 @@ import { $, NONE, bytes, duration, facts, number } from "./text.js";
 const SHORT_OF_DISK_S = 600;
 const MISSED_SHARE = 0.1;
 
+// Rows about the calibration: nothing where there is no doubt of it.
+function doubts(told = []) {
+  return told.map((doubt) => ["Doubtful", doubt, "bad"]);
+}
+
 export class Machine {
   // `status` is what the print reports; null where none runs: then `printed` is what the run says of its print.
   show(status, printed) {
@@ -14,6 +19,7 @@ export class Machine {
         ["Light was on", `${duration(printed.lit_s)}, ${number(printed.lit_turns, 1)} turns`],
         ["Ended by", printed.ended_by ?? NONE],
         ["Fault", printed.fault ?? "none"],
+        ...doubts(printed.doubts),
       ]);
       return;
     }
@@ -26,6 +32,7 @@ export class Machine {
       ["Older than a turn", snapshot ? `${number(snapshot.provisional_share * 100, 0)} % of rays` : NONE],
       ["Disk", `${bytes(free)} free, lasts ${duration(left)}`, left !== null && left < SHORT_OF_DISK_S ? "bad" : ""],
       ["Mode", status.mode],
+      ...doubts(status.doubts),
       ...Object.entries(status.devices).map(([name, health]) => [name, health, health === "ok" ? "" : "bad"]),
     ]);
     const choice = document.querySelector(`input[name=mode][value="${CSS.escape(status.mode)}"]`);
