@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from calibrate.standards import PIXEL_MM, cylinder, height_map, record
+from calibrate.standards import PIXEL_MM, cylinder, cylinder_mesh, height_map, record
 from vialight.arrays import Grid
 from vialight.commands.calibrating import Standard, StandardOptions, calibrate_resin, calibrate_threshold
 from vialight.commands.measuring import reconstruct_recording
 from vialight.config import load_rig
 from vialight.errors import InputError
+from vialight.metrology import Registration
 from vialight.pipeline import Settings
+from vialight.store import open_frames, write_frames, write_stl
 
 SMALL_MM = 3.31
 """Diameter of the smaller validation cylinder of Orth et al. 2022."""
@@ -171,3 +174,58 @@ def test_the_index_is_found_from_two_cylinders_of_different_size(folder: Path, t
     assert abs(both["value"] - 1.48) < 3 * both["uncertainty"]
     alone = calibrate_resin(None, rig, tmp_path / "one.toml", cylinders=pairs[1:], options=options)["found"][0]
     assert alone["uncertainty"] > 3 * both["uncertainty"]
+
+
+COARSE = StandardOptions(PIXEL_MM, Settings(voxel_mm=0.155))
+
+
+@pytest.fixture
+def as_placed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take scans to lie where the print is: looking for where takes long."""
+    there = Registration(np.eye(4), ())
+    monkeypatch.setattr(sys.modules["vialight.calibrate.surface_threshold"], "register", lambda *meshes: there)
+
+
+@pytest.mark.usefixtures("as_placed")
+def test_a_scan_in_place_of_a_profile_gives_the_threshold_and_a_picture(folder: Path, tmp_path: Path) -> None:
+    """The surface is at 100; on one so small, blur moves that inwards, by as much as the uncertainty says."""
+    place = np.eye(4)
+    place[:2, 3] = 0.31, -0.18
+    write_stl(tmp_path / "scan.stl", cylinder_mesh(SMALL_MM / 2, 2.4).moved(place))
+    result = calibrate_threshold(
+        [Standard(folder / "small.h5", tmp_path / "scan.stl")],
+        folder / "rig.toml",
+        tmp_path / "new.toml",
+        options=COARSE,
+    )
+    one = result["details"]["standards"][0]
+    assert abs(one["threshold"] - 100.0) < 2 * one["std"] < 0.03 * one["slope_per_mm"]
+    assert (tmp_path / "new.html").read_text().count("<img") == 1
+
+
+def _frames(folder: Path) -> tuple[Any, Any, Any]:
+    with open_frames(folder / "small.h5") as frames:
+        return frames.read(slice(None)), frames.angles_rad, frames.dark()
+
+
+@pytest.mark.usefixtures("as_placed")
+@pytest.mark.parametrize("case", ["saturated", "half a turn", "nothing cured", "another scan"])
+def test_recordings_that_cannot_be_used_are_refused_with_a_picture(case: str, folder: Path, tmp_path: Path) -> None:
+    counts, angles, dark = _frames(folder)
+    known, told = folder / "small.npy", case
+    if case == "saturated":
+        counts = np.minimum(counts, np.uint16(250))
+    elif case == "half a turn":
+        counts, angles, told = counts[:90], angles[:90], r"no frames for 18\d"
+    elif case == "nothing cured":
+        counts, told = np.random.default_rng(0).poisson(dark, counts.shape).astype(np.uint16), "nothing has cured"
+    else:
+        write_stl(tmp_path / "scan.stl", cylinder_mesh(0.6, 6.0))
+        known, told = tmp_path / "scan.stl", "of its area"
+    write_frames(tmp_path / "frames.h5", counts, angles, dark=np.rint(dark)[None].astype(np.uint16))
+    with pytest.raises(InputError, match=rf"{told}.*new\.refused\.png"):
+        calibrate_threshold(
+            [Standard(tmp_path / "frames.h5", known)], folder / "rig.toml", tmp_path / "new.toml", options=COARSE
+        )
+    assert (tmp_path / "new.refused.png").stat().st_size > 1000
+    assert not (tmp_path / "new.toml").exists()

@@ -31,7 +31,7 @@ class SurfaceThreshold:
     threshold
         Median, by area, of the density on the surface: the level at which as much of it lies outside as inside.
     std
-        Its standard uncertainty, from the scatter of the medians of pieces of the surface.
+        Its standard uncertainty: by how much the medians of pieces of the surface differ, and of the blur.
     slope_per_mm
         By how much the density falls with each mm outwards, in the median.
     densities
@@ -86,9 +86,15 @@ def surface_threshold(volume: Volume, surface: Mesh, where: object = "") -> Surf
         _check_near(volume, placed, inwards, float(high - low), where)
     slope = float(np.median(np.linalg.norm(inwards, axis=1)))
     medians = [np.median(densities[block]) for block in _blocks(placed)]
-    return SurfaceThreshold(
-        threshold, float(np.std(medians, ddof=1) / np.sqrt(len(medians))), slope, densities, registration
+    # Not that of their mean: pieces differ by how they are curved and where edges are, which any other print shares.
+    # As for a cylinder's rim, blur of standard deviation s moves it by s^2 / (2 r), and may be none or all of the edge's
+    # softness; r as volume and area have it.
+    blur_mm = float(high - low) / slope / np.sqrt(2 * np.pi)
+    blurred = (
+        slope * blur_mm**2 * samples.weights_mm2.sum() / (4 * abs(surface.volume_mm3)) if surface.is_closed else 0.0
     )
+    std = float(np.hypot(np.std(medians, ddof=1), blurred / np.sqrt(3)))
+    return SurfaceThreshold(threshold, std, slope, densities, registration)
 
 
 def _check_near(volume: Volume, points: FloatArray, inwards: FloatArray, contrast: float, where: object) -> None:

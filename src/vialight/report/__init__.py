@@ -9,7 +9,7 @@ from vialight.report.kinetics_figures import GelPlanes, gel_times_png, kinetics_
 from vialight.report.page import Figure, Provenance, write_report
 from vialight.report.plan_page import write_plan_page
 from vialight.report.target_figures import target_png
-from vialight.report.threshold_figures import heights_png, rim_png, view_from_above_png
+from vialight.report.threshold_figures import heights_png, rim_png, surface_threshold_png, view_from_above_png
 from vialight.report.timelapse import picture_of, write_timelapse
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "mirror_png",
     "picture_of",
     "rim_png",
+    "surface_threshold_png",
     "sweep_png",
     "target_png",
     "view_from_above_png",

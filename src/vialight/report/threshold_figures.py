@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from vialight.arrays import FloatArray, Grid
-from vialight.calibrate import Circle, RimThreshold
+from vialight.arrays import FloatArray, Grid, Volume
+from vialight.calibrate import Circle, RimThreshold, SurfaceThreshold
+from vialight.mesh import Mesh
 from vialight.report.canvas import new_figure, png, scale_bar, style
 from vialight.report.colours import round_up
 
@@ -79,6 +80,39 @@ def rim_png(found: RimThreshold) -> bytes:
         histogram.legend(frameon=False, fontsize=7.5, loc="upper left")
         _draw_rim(across, found)
         return png(figure)
+
+
+def surface_threshold_png(found: SurfaceThreshold, volume: Volume, surface: Mesh) -> bytes:
+    """Draw slices of a density (level and upright) with the surface that was laid on it, and the density on that."""
+    grid, half = volume.grid, volume.grid.voxel_mm / 2
+    centre = surface.vertices_mm.mean(axis=0)
+    with style():
+        figure = new_figure(9.6, 3.5)
+        level, upright, histogram = figure.subplots(1, 3)
+        z, y = (int(np.abs(values - centre[k]).argmin()) for k, values in ((2, grid.z_mm), (1, grid.y_mm)))
+        cuts = ((level, volume.density[z], grid.y_mm, "y"), (upright, volume.density[:, y], grid.z_mm, "z"))
+        for axis, image, up_mm, name in cuts:
+            extent = (grid.x_mm[0] - half, grid.x_mm[-1] + half, up_mm[0] - half, up_mm[-1] + half)
+            axis.imshow(image, cmap="gray", origin="lower", extent=extent)
+            across, up = ((2, 1), (1, 2))[name == "z"]
+            for line in _cut(surface, centre, np.eye(3)[across]):
+                axis.plot(line[:, 0], line[:, up], color=_KNOWN, linewidth=0.9)
+            axis.set(xlabel="x, mm", ylabel=f"{name}, mm")
+        histogram.hist(found.densities, bins=80, color=_FITTED, alpha=0.8)
+        histogram.axvline(found.threshold, color=_KNOWN, linewidth=1,
+                          label=f"I_p = {found.threshold:.2f} ± {found.std:.2f}")  # fmt: skip
+        histogram.set(xlabel="density on the surface, counts per mm", ylabel="points, of equal area")
+        histogram.legend(frameon=False, fontsize=7.5)
+        return png(figure)
+
+
+def _cut(surface: Mesh, point: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return (line, 2, xyz) where the triangles of a surface cross a plane."""
+    import trimesh
+
+    solid = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
+    lines = trimesh.intersections.mesh_plane(solid, normal, point)
+    return np.asarray(lines, dtype=np.float64)
 
 
 def _draw_rim(axis: Axes, found: RimThreshold) -> None:

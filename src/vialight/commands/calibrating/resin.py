@@ -115,7 +115,7 @@ def _index(
     apparent, true, std, edge = [], [], [], []
     for one in cylinders:
         profile, _ = profile_circle(one.known, options, out)
-        volume, _ = reconstructed(one.frames, rig, options, progress)
+        volume, _ = reconstructed(one.frames, rig, options, out, progress)
         with shown_where_refused(out, partial(view_from_above_png, volume.density.mean(axis=0), volume.grid)):
             seen = overhead(volume.density, volume.grid, one.frames)
         apparent.append(seen.circle.radius_mm)

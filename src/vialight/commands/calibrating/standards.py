@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from vialight.arrays import Volume
-from vialight.calibrate import Circle, circle_in_heights
+from vialight.calibrate import Circle, check_unsaturated, circle_in_heights
 from vialight.commands.calibrating.writing import shown_where_refused
 from vialight.config import Rig, ThresholdConditions
 from vialight.errors import InputError
 from vialight.pipeline import Progress, Settings, open_scan, reconstruct
 from vialight.store import open_frames, read_heights
+
+_LOOKED_AT = 20
+"""Frames in which saturated pixels are looked for."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +74,17 @@ def profile_circle(
 
 
 def reconstructed(
-    frames_path: Path, rig: Rig, options: StandardOptions, progress: Progress | None
+    frames_path: Path, rig: Rig, options: StandardOptions, out: str | Path, progress: Progress | None
 ) -> tuple[Volume, ThresholdConditions]:
-    """Reconstruct a recording; return with it the conditions that it was taken under."""
+    """Reconstruct a recording; return with it the conditions that it was taken under; leave a picture of a bad one."""
+    from vialight.report import frame_png
+
     with open_frames(frames_path) as frames:
-        volume = reconstruct(open_scan(frames, rig, options.settings), options.settings, progress=progress)
+        first = frames.read(slice(0, 1))[0]
+        with shown_where_refused(out, lambda: frame_png(first, rig.need_camera(), rig.imaging_optics())):
+            scan = open_scan(frames, rig, options.settings)
+            check_unsaturated(frames.read(scan.chosen[:: max(1, len(scan.chosen) // _LOOKED_AT)]), frames_path)
+            volume = reconstruct(scan, options.settings, progress=progress)
         recorded = options.stated.model_dump(exclude_none=True) | dict(frames.settings)
     return volume, rig.imaged_under(recorded, options.settings.binning)
 

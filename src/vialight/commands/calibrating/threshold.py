@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from vialight.arrays import Volume
 from vialight.calibrate import (
     Circle,
     Finding,
@@ -31,7 +32,7 @@ from vialight.commands.calibrating.standards import (
 from vialight.commands.calibrating.writing import check_out, shown_where_refused, write_calibrated
 from vialight.config import Rig, ThresholdConditions, load_rig
 from vialight.diagnostics import Picture
-from vialight.mesh import load_mesh
+from vialight.mesh import Mesh, load_mesh
 from vialight.pipeline import Progress
 
 MESHES = (".stl", ".ply", ".obj", ".3mf")
@@ -106,10 +107,14 @@ def calibrate_threshold(
 
 
 def _find(standard: Standard, rig: Rig, options: StandardOptions, out: str | Path, progress: Progress | None) -> _Found:
+    from vialight.report import view_from_above_png
+
     if standard.known.suffix.lower() in MESHES:
         surface = load_mesh(standard.known)
-        volume, conditions = reconstructed(standard.frames, rig, options, progress)
-        return _Found(standard, surface_threshold(volume, surface, standard.frames), conditions, ())
+        volume, conditions = reconstructed(standard.frames, rig, options, out, progress)
+        with shown_where_refused(out, lambda: view_from_above_png(volume.density.mean(axis=0), volume.grid)):
+            fitted = surface_threshold(volume, surface, standard.frames)
+        return _Found(standard, fitted, conditions, _surface_figures(standard, fitted, volume, surface))
     profile, draw_profile = profile_circle(standard.known, options, out)
     result, conditions = _rim(standard, profile, rig, options, out, progress)
     return _Found(standard, result, conditions, _figures(standard, result, profile, draw_profile))
@@ -120,7 +125,7 @@ def _rim(
 ) -> tuple[RimThreshold, ThresholdConditions]:
     from vialight.report import view_from_above_png
 
-    volume, conditions = reconstructed(standard.frames, rig, options, progress)
+    volume, conditions = reconstructed(standard.frames, rig, options, out, progress)
     std_mm = float(np.hypot(profile.radius_std_mm, profile.radius_mm * pixel_std_share(rig)))
     with shown_where_refused(out, lambda: view_from_above_png(volume.density.mean(axis=0), volume.grid)):
         seen = overhead(volume.density, volume.grid, standard.frames)
@@ -150,6 +155,20 @@ def _figures(
             "cylinder's centre, and makes a histogram with two humps, as in the paper; orange is what whole voxels do. "
             "Outwards, the density falls through I_p at the profile's radius.", rim_png(result),
         ),
+    ]  # fmt: skip
+
+
+def _surface_figures(standard: Standard, result: SurfaceThreshold, volume: Volume, surface: Mesh) -> list[Picture]:
+    from vialight.report import surface_threshold_png
+
+    placed = surface.moved(np.linalg.inv(result.registration.matrix))
+    return [
+        Picture(
+            "surface", f"{standard.frames.name}: density on the surface of {standard.known.name}",
+            "Two slices through the middle with the given surface where the print lies: it must follow the steep flank "
+            "all round, but for places where the two differ. The histogram must have one hump, with I_p in its middle.",
+            surface_threshold_png(result, volume, placed),
+        )
     ]  # fmt: skip
 
 
