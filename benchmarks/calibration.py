@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
@@ -17,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from calibrate.targets import CAMERA, IN_AIR, IN_VIAL, Target, picture
 from calibrate.test_target import RIG as TARGET_RIG
 from calibrate.wobbling import AXIS_COLUMN, axis_found, recorded
+from commands.test_calibrating_gelling import print_runs
 from vialight.arrays import Float32Array, FloatArray, Grid
 from vialight.calibrate import circle_in_heights, overhead, rim_threshold
 from vialight.calibrate.grids import Kind
@@ -232,7 +234,29 @@ def scale() -> None:
                         (one["value"] - getattr(CAMERA, one["key"]), one["uncertainty"])
                     )
             for key, values in found.items():
+                if len(values) < HOLDS / 2:  # mostly left alone
+                    continue
                 _covered_row(f"{title}: {key}", np.array(values), 6 if key == "pixel_mm" else 3)
+
+
+def gelling() -> None:
+    """Print the critical exposure by gel times, of one print and of two."""
+    print("| runs | gel times | critical, mJ/cm^2 | gels later by, s |\n| --- | --- | ---: | ---: |")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        print_runs(folder)
+        for source in ("the twin's", "seen in frames"):
+            if source != "the twin's":
+                for run in ("slow", "fast"):
+                    shutil.rmtree(folder / run / "gel_time.zarr")
+            for runs in (["slow"], ["fast"], ["slow", "fast"]):
+                result = calibrate_resin(
+                    None, folder / "slow" / "rig.toml", folder / "new.toml", runs=[folder / run for run in runs],
+                    options=StandardOptions(settings=Settings(voxel_mm=0.6)),
+                )  # fmt: skip
+                found, lag_s = result["found"][0], result["details"]["gels_later_by_s"]
+                late = "-" if lag_s is None else f"{lag_s:.1f}"
+                print(f"| {', '.join(runs)} | {source} | {found['value']:.0f} ± {found['uncertainty']:.0f} | {late} |")
 
 
 def _covered_head() -> None:
@@ -250,7 +274,7 @@ def _covered_row(name: str, found: FloatArray, digits: int) -> None:
 
 
 PARTS: dict[str, Callable[[], None]] = {
-    "axis": axis, "index": index, "projector": projector, "scale": scale, "threshold": threshold,
+    "axis": axis, "gelling": gelling, "index": index, "projector": projector, "scale": scale, "threshold": threshold,
 }  # fmt: skip
 
 

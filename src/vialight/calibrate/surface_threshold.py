@@ -87,8 +87,8 @@ def surface_threshold(volume: Volume, surface: Mesh, where: object = "") -> Surf
     slope = float(np.median(np.linalg.norm(inwards, axis=1)))
     medians = [np.median(densities[block]) for block in _blocks(placed)]
     # Not that of their mean: pieces differ by how they are curved and where edges are, which any other print shares.
-    # As for a cylinder's rim, blur of standard deviation s moves it by s^2 / (2 r), and may be none or all of the edge's
-    # softness; r as volume and area have it.
+    # As at a cylinder's rim, blur of standard deviation s moves it by s^2 / (2 r), and may be none or all of the
+    # edge's softness; r as volume and area have it.
     blur_mm = float(high - low) / slope / np.sqrt(2 * np.pi)
     blurred = (
         slope * blur_mm**2 * samples.weights_mm2.sum() / (4 * abs(surface.volume_mm3)) if surface.is_closed else 0.0

@@ -27,7 +27,7 @@ _LEAST_KEPT = 0.7
 _EDGE = 0.9
 """Of the vial's radius: beyond it rays are bent so much that the wall decides."""
 _WIDE = {ROW: 20.0, COLUMN: 20.0, DISTORTION: 5.0, ROLL: 1.0, YAW: 0.3, PITCH: 0.3, PIXEL: 1.0, RIGHT: 1e3, UP: 1e3}
-"""Standard deviations before anything is seen: so wide that they hardly count, but keep what is not seen where it is."""
+"""Standard deviations before anything is seen: so wide that they hardly count, yet keep in place what is not seen."""
 _PASSES, _STEPS = 3, 4
 _UNEVEN = 0.01
 """Pixels by which the shape of points misleads, in all views alike."""

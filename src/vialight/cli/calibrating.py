@@ -30,6 +30,11 @@ def calibrate() -> None:
 @calibrate.command()
 @click.argument("table", required=False, type=_FILE)
 @click.option(
+    "--run", "runs", multiple=True, type=_FILE,
+    help="Find the critical exposure from when a run's print gelled; may be repeated, at other irradiances.",
+)  # fmt: skip
+@click.option("--plan", type=_FILE, help="That was printed. [default: the run's]")
+@click.option(
     "--cylinder", "cylinders", multiple=True, nargs=2, type=_FILE, metavar="FRAMES PROFILE",
     help="Find the index from how large a known cylinder appears; may be repeated.",
 )  # fmt: skip
@@ -39,27 +44,30 @@ def calibrate() -> None:
 @_out
 @_as_json
 def resin(
-    table: Path | None, cylinders: tuple[tuple[Path, Path], ...], profile_pixel_mm: float | None, voxel: float | None,
-    rig: Path, out: Path, as_json: bool,
+    table: Path | None, runs: tuple[Path, ...], plan: Path | None, cylinders: tuple[tuple[Path, Path], ...],
+    profile_pixel_mm: float | None, voxel: float | None, rig: Path, out: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Find critical exposure and absorption from a TABLE (CSV) of exposures and cured depths, or the imaging index.
+
+    The critical exposure is told by a run too: by how much light each place had got when it gelled.
 
     The table's columns: exposure_mj_per_cm2, at the resin's surface, and depth_mm.
 
     \b
     Example:
       vialight calibrate resin depths.csv --rig rig.toml --out calibrated.toml
+      vialight calibrate resin --run run --rig rig.toml --out calibrated.toml
       vialight calibrate resin --cylinder frames.h5 heights.npy --profile-pixel-mm 0.05 --rig rig.toml --out new.toml
     """
     with faults_told():
         from vialight.commands.calibrating import Standard, StandardOptions, calibrate_resin
         from vialight.pipeline import Settings
 
-        if table is None and not cylinders:
-            raise click.UsageError("give a TABLE, or a --cylinder, or both")
+        if table is None and not runs and not cylinders:
+            raise click.UsageError("give a TABLE, a --run or a --cylinder")
         with progress("slices") as advance:
             result = calibrate_resin(
-                table, rig, out, cylinders=[Standard(*pair) for pair in cylinders],
+                table, rig, out, runs=runs, plan_path=plan, cylinders=[Standard(*pair) for pair in cylinders],
                 options=StandardOptions(profile_pixel_mm, Settings(voxel)), progress=advance,
             )  # fmt: skip
         show(result, as_json, lambda: calibration_lines(result, out))

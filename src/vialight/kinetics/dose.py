@@ -42,7 +42,12 @@ class Shown:
 
 
 def dose_over_time(points_mm: FloatArray, patterns: Patterns, rig: Rig, shown: Shown) -> FloatArray:
-    """Return the dose that places have got by each moment.
+    """Return the (moment,) dose that places have got in the mean by each moment; see `doses_over_time`."""
+    return np.asarray(doses_over_time(points_mm, patterns, rig, shown).mean(axis=1), dtype=np.float64)
+
+
+def doses_over_time(points_mm: FloatArray, patterns: Patterns, rig: Rig, shown: Shown) -> FloatArray:
+    """Return the dose that each place has got by each moment.
 
     Parameters
     ----------
@@ -58,14 +63,14 @@ def dose_over_time(points_mm: FloatArray, patterns: Patterns, rig: Rig, shown: S
     Returns
     -------
     numpy.ndarray
-        (moment,) mean over the points, in the plan's unit: 1 is the dose meant in the part after one turn.
+        (moment, point) in the plan's unit: 1 is the dose meant in the part after one turn.
     """
     projector, optics = rig.need_projector(), rig.writing_optics()
     absorption = rig.resin.absorption_per_mm or 0.0
     camera = projector.as_camera()
     delivery = pixel_rays(projector.columns, projector.rows, camera, optics, absorption).delivery
     lasts_s = np.diff(shown.time_s, append=shown.time_s[-1:])
-    gained = np.zeros(len(shown.time_s))
+    gained = np.zeros((len(shown.time_s), len(points_mm)))
     lit = np.flatnonzero((shown.pattern >= 0) & (lasts_s > 0))
     for block in np.array_split(lit, -(-len(lit) // _MOMENTS_A_BLOCK)) if len(lit) else []:
         row, column, behind_mm = _lit_by(points_mm, shown.angle_rad[block], rig)
@@ -74,9 +79,10 @@ def dose_over_time(points_mm: FloatArray, patterns: Patterns, rig: Rig, shown: S
         # Between patterns nothing is interpolated: their numbers are whole.
         level = _looked_up(patterns, place).reshape(row.shape)
         share = map_coordinates(delivery, [row, column], order=1, mode="constant")
-        gained[block] = (level * share * np.exp(-absorption * behind_mm)).mean(axis=1)
+        gained[block] = level * share * np.exp(-absorption * behind_mm)
     rate = patterns.dose_rate_per_level * np.radians(rig.stage.speed_deg_s)
-    return np.concatenate([[0.0], np.cumsum(gained * lasts_s * rate)[:-1]])
+    total = np.cumsum(gained * (lasts_s * rate)[:, None], axis=0)
+    return np.concatenate([np.zeros((1, len(points_mm))), total[:-1]])
 
 
 def mj_per_cm2(patterns: Patterns, rig: Rig) -> float | None:

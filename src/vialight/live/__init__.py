@@ -8,12 +8,13 @@
 """
 
 from vialight.live.following import LiveSettings
-from vialight.live.looking_back import Place, SeenAgain, see_again, times_of
+from vialight.live.looking_back import LOOKS_A_TURN, Place, SeenAgain, see_again, times_of
 from vialight.live.sharing import Moment, SharedVolume
 from vialight.live.watcher import LiveWatcher
 from vialight.live.window import SlidingWindow
 
 __all__ = [
+    "LOOKS_A_TURN",
     "LiveSettings",
     "LiveWatcher",
     "Moment",

@@ -1,6 +1,6 @@
 """The report and the pages of plan and calibration: HTML files that hold all, to be read now and in ten years."""
 
-from vialight.report.calibration_figures import sweep_png, working_curve_png
+from vialight.report.calibration_figures import gel_doses_png, sweep_png, working_curve_png
 from vialight.report.calibration_page import write_calibration_page, write_check_page
 from vialight.report.colours import colour_limit_mm, deviation_colours
 from vialight.report.geometry_figures import axis_round_png, frame_png, mirror_png
@@ -20,6 +20,7 @@ __all__ = [
     "colour_limit_mm",
     "deviation_colours",
     "frame_png",
+    "gel_doses_png",
     "gel_times_png",
     "growth_figure",
     "heights_png",

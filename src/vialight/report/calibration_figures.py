@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vialight.arrays import FloatArray
 from vialight.calibrate import ProjectorFit, WorkingCurve
 from vialight.report.canvas import new_figure, png, style
 
@@ -28,6 +29,23 @@ def working_curve_png(curve: WorkingCurve) -> bytes:
             ticks(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.grid(linewidth=0.3)
         axis.legend(frameon=False)
+        return png(figure)
+
+
+def gel_doses_png(gel_time_s: FloatArray, dose_mj_per_cm2: FloatArray, critical_mj_per_cm2: float) -> bytes:
+    """Draw the doses at which places gelled, over when they did, and their histogram."""
+    with style():
+        figure = new_figure(7.6, 3.6)
+        over, histogram = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))
+        over.plot(gel_time_s, dose_mj_per_cm2, ".", color="#18348f", markersize=3)
+        histogram.hist(dose_mj_per_cm2, bins=40, orientation="horizontal", color="#18348f", alpha=0.8)
+        for axis in (over, histogram):
+            axis.axhline(critical_mj_per_cm2, color="#c0501a", linewidth=1, label=f"median {critical_mj_per_cm2:.4g}")
+            axis.grid(linewidth=0.3)
+        over.set(xlabel="gelled after, s", ylabel="dose until then, mJ/cm²")
+        over.set_ylim(bottom=0)
+        over.legend(frameon=False)
+        histogram.set_xlabel("places")
         return png(figure)
 
 

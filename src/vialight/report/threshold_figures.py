@@ -95,7 +95,7 @@ def surface_threshold_png(found: SurfaceThreshold, volume: Volume, surface: Mesh
             extent = (grid.x_mm[0] - half, grid.x_mm[-1] + half, up_mm[0] - half, up_mm[-1] + half)
             axis.imshow(image, cmap="gray", origin="lower", extent=extent)
             across, up = ((2, 1), (1, 2))[name == "z"]
-            for line in _cut(surface, centre, np.eye(3)[across]):
+            for line in _cut(surface, centre, across):
                 axis.plot(line[:, 0], line[:, up], color=_KNOWN, linewidth=0.9)
             axis.set(xlabel="x, mm", ylabel=f"{name}, mm")
         histogram.hist(found.densities, bins=80, color=_FITTED, alpha=0.8)
@@ -106,13 +106,17 @@ def surface_threshold_png(found: SurfaceThreshold, volume: Volume, surface: Mesh
         return png(figure)
 
 
-def _cut(surface: Mesh, point: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return (line, 2, xyz) where the triangles of a surface cross a plane."""
-    import trimesh
-
-    solid = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
-    lines = trimesh.intersections.mesh_plane(solid, normal, point)
-    return np.asarray(lines, dtype=np.float64)
+def _cut(surface: Mesh, middle: FloatArray, across: int) -> FloatArray:
+    """Return (line, 2, xyz) where the triangles of a surface cross the plane through `middle` across an axis."""
+    corners = surface.corners_mm
+    above = corners[..., across] > middle[across]
+    crossed = above.any(axis=1) & ~above.all(axis=1)
+    corners, above = corners[crossed], above[crossed]
+    alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
+    tip, *base = (corners[np.arange(len(corners)), (alone + k) % 3] for k in range(3))
+    height = tip[:, across] - middle[across]
+    ends = [tip + (other - tip) * (height / (tip - other)[:, across])[:, None] for other in base]
+    return np.stack(ends, axis=1)
 
 
 def _draw_rim(axis: Axes, found: RimThreshold) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from vialight.arrays import FloatArray
 from vialight.calibrate import Finding, Findings, WorkingCurve, fit_working_curve, index_from_cylinders, overhead
+from vialight.commands.calibrating.gelling import gel_doses, gelling_findings
 from vialight.commands.calibrating.standards import (
     Standard,
     StandardOptions,
@@ -33,26 +34,31 @@ def calibrate_resin(
     rig_path: str | Path,
     out: str | Path,
     *,
+    runs: Sequence[str | Path] = (),
+    plan_path: str | Path | None = None,
     cylinders: Sequence[Standard] = (),
     options: StandardOptions | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Find critical exposure and absorption from cured depths, and the index from how large cylinders appear.
+    """Find critical exposure and absorption from cured depths, or the former from when a print gelled, and the index.
 
     Parameters
     ----------
     table_path
-        CSV with the columns ``exposure_mj_per_cm2`` and ``depth_mm``; None for the index alone.
+        CSV with the columns ``exposure_mj_per_cm2`` and ``depth_mm``, or None.
     rig_path
         The rig to change.
     out
         The new rig.
+    runs, plan_path
+        Folders of runs, whose gel times tell the critical exposure in place of depths, and the plan that was printed,
+        by default in them.
     cylinders
-        Recordings of cylinders with their profiles; none for the working curve alone.
+        Recordings of cylinders with their profiles, which tell the index.
     options
         How to look at them.
     progress
-        Called with slices done and to do.
+        Called with slices, or frames, done and to do.
 
     Returns
     -------
@@ -62,22 +68,50 @@ def calibrate_resin(
     Raises
     ------
     InputError
-        Table, recordings or profiles cannot be used, or `out` cannot be written.
+        Table, run, recordings or profiles cannot be used, or `out` cannot be written.
     """
     check_out(rig_path, out)
     rig, found, figures = load_rig(rig_path), [], []
+    if table_path is not None and runs:
+        raise InputError("--run", "is given, and a table of depths too", accepted="one of them, or both apart",
+                         remedy="compare what the two say")  # fmt: skip
     if table_path is not None:
         findings, figure = _working_curve(table_path)
         found.append(findings)
         figures.append(figure)
+    if runs:
+        findings, pictures = _gelling([Path(run) for run in runs], plan_path, options, progress)
+        found.append(findings)
+        figures += pictures
     if cylinders:
         found.append(_index(cylinders, rig, options or StandardOptions(), out, progress))
     if not found:
-        raise InputError("calibrate resin", "has neither depths nor cylinders", accepted="one of them, or both")
-    data = cylinders[0].frames if table_path is None else table_path
-    inputs: dict[str, str | Path] = {f"frames_{k}": one.frames for k, one in enumerate(cylinders, 1)}
+        raise InputError("calibrate resin", "has neither depths, a run nor cylinders", accepted="one of them, or more")
+    data = table_path or (Path(runs[0]) / "frames.h5" if runs else cylinders[0].frames)
+    inputs: dict[str, str | Path] = {f"run_{k}": Path(run) / "frames.h5" for k, run in enumerate(runs, 1)}
+    inputs |= {f"frames_{k}": one.frames for k, one in enumerate(cylinders, 1)}
     inputs |= {f"profile_{k}": one.known for k, one in enumerate(cylinders, 1)}
     return write_calibrated(_together(found), rig_path, data, out, figures=figures, inputs=inputs)
+
+
+def _gelling(
+    runs: Sequence[Path], plan_path: str | Path | None, options: StandardOptions | None, progress: Progress | None
+) -> tuple[Findings, list[Picture]]:
+    from vialight.report import gel_doses_png
+
+    voxel_mm = None if options is None else options.settings.voxel_mm
+    found = [gel_doses(run, plan_path, voxel_mm=voxel_mm, progress=progress) for run in runs]
+    figures = [
+        Picture(
+            "gelling", f"{run.name}: how much light places had got when they gelled",
+            "If the dose alone decided, all places would lie on one level, whenever they gelled. A slope says that "
+            "slow light counts for less (what inhibits comes back), a wide histogram that light is not where it should "
+            "be.",
+            gel_doses_png(one.gel_time_s, one.dose_mj_per_cm2, one.critical_mj_per_cm2),
+        )
+        for one, run in zip(found, runs, strict=True)
+    ]  # fmt: skip
+    return gelling_findings(found, runs), figures
 
 
 def _together(found: Sequence[Findings]) -> Findings:

@@ -161,7 +161,7 @@ def _figures(
 def _surface_figures(standard: Standard, result: SurfaceThreshold, volume: Volume, surface: Mesh) -> list[Picture]:
     from vialight.report import surface_threshold_png
 
-    placed = surface.moved(np.linalg.inv(result.registration.matrix))
+    placed = surface.moved(np.asarray(np.linalg.inv(result.registration.matrix), np.float64))
     return [
         Picture(
             "surface", f"{standard.frames.name}: density on the surface of {standard.known.name}",

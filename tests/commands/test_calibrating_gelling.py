@@ -1,0 +1,87 @@
+"""The critical exposure from twin's prints: by their true gel times, and by those seen in the frames."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from printing.prints import BINNING, quick_rig, write_quick_plan
+from vialight.cli import main
+from vialight.commands.calibrating import calibrate_resin
+from vialight.commands.calibrating.gelling import gel_doses
+from vialight.commands.simulating import simulate_print
+from vialight.config import changed_rig, load_rig
+from vialight.errors import InputError
+from vialight.store import read_json, rig_to_toml
+from vialight.twin import TwinSettings, load_resin
+
+IRRADIANCES = {"slow": (60.0, 15.0), "fast": (120.0, 8.0)}
+"""mW/cm^2, and turns of light."""
+
+
+def print_runs(folder: Path) -> None:
+    """Print one plan twice, in coarse voxels."""
+    plan, rig = write_quick_plan(folder)
+    resin = load_resin("DUDMA")
+    gelled = resin.scattering.density(np.array([resin.chemistry.gel_conversion], np.float32))
+    threshold = {"resin": {"threshold": float(gelled[0]) * BINNING**2}}
+    for name, (irradiance, turns) in IRRADIANCES.items():
+        dimmed = changed_rig(quick_rig(), {"projector": {"irradiance_mw_per_cm2": irradiance}}, "test")
+        rig.write_text(rig_to_toml(dimmed))
+        settings = TwinSettings(binning=BINNING, chemistry_step_s=0.5)
+        simulate_print(plan, rig, "DUDMA", folder / name, turns=turns, voxel_mm=0.4, settings=settings)
+        believed = changed_rig(load_rig(folder / name / "rig.toml"), threshold, "test")
+        (folder / name / "rig.toml").write_text(rig_to_toml(believed))
+        shutil.copyfile(plan, folder / name / "plan.h5")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("gelling")
+    print_runs(folder)
+    return folder
+
+
+def test_two_irradiances_tell_the_dose_at_which_resin_gels_and_how_much_later(runs: Path, tmp_path: Path) -> None:
+    """Radicals live for 1 / 0.15 s after their light: alone, even the slower print says 18 % too much."""
+    true = read_json(runs / "slow" / "run.json")["truth"]["critical_dose_mj_per_cm2"]
+    told = CliRunner().invoke(
+        main,
+        ["calibrate", "resin", "--run", str(runs / "slow"), "--run", str(runs / "fast"), "--rig",
+         str(runs / "slow" / "rig.toml"), "--out", str(tmp_path / "new.toml"), "--json"],
+    )  # fmt: skip
+    assert told.exit_code == 0, told.stderr
+    result = json.loads(told.stdout)
+    found = result["found"][0]
+    assert found["key"] == "critical_exposure_mj_per_cm2"
+    assert abs(found["value"] - true) < 2 * found["uncertainty"] < 0.1 * true
+    assert 2.0 < result["details"]["gels_later_by_s"] < 1 / 0.15
+    assert min(result["details"]["gel_doses_mj_per_cm2"]) > 1.1 * true
+    assert load_rig(tmp_path / "new.toml").resin.critical_exposure_mj_per_cm2 == pytest.approx(true, rel=0.1)
+    assert (tmp_path / "new.html").read_text().count("data:image/png") == 2
+
+
+def test_gel_times_seen_in_frames_give_the_dose_that_the_true_ones_give(runs: Path, tmp_path: Path) -> None:
+    shutil.copytree(runs / "slow", tmp_path / "seen", ignore=shutil.ignore_patterns("gel_time.zarr"))
+    seen, true = gel_doses(tmp_path / "seen", voxel_mm=0.6), gel_doses(runs / "slow")
+    assert abs(seen.critical_mj_per_cm2 - true.critical_mj_per_cm2) < seen.critical_std_mj_per_cm2
+    assert seen.critical_std_mj_per_cm2 < 0.05 * true.critical_mj_per_cm2
+
+
+def test_runs_that_tell_nothing_are_refused(runs: Path, tmp_path: Path) -> None:
+    new, run = tmp_path / "new.toml", runs / "slow"
+    with pytest.raises(InputError, match="the plan that was printed"):
+        calibrate_resin(None, run / "rig.toml", new, runs=[run], plan_path=tmp_path / "no.h5")
+    with pytest.raises(InputError, match="a table of depths too"):
+        calibrate_resin(tmp_path / "depths.csv", run / "rig.toml", new, runs=[run])
+    dark = tmp_path / "dark"
+    shutil.copytree(run, dark)
+    (dark / "projector.csv").write_text("refresh_s,shown_s,due,shown\n1.0,1.0,1,1\n1.1,1.1,-1,-1\n")
+    with pytest.raises(InputError, match="0 voxels within the print gelled while there was light"):
+        calibrate_resin(None, run / "rig.toml", new, runs=[dark])
+    assert not new.exists()
