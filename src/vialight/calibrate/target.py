@@ -156,6 +156,11 @@ def fit_target(
     >>> round(fit.pixel_mm, 5), round(0.155 * float(fit.std[PIXEL]), 5)  # a depth of 0.3 mm of 190
     (0.155, 0.00024)
     """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of what is no target: it is refused
+        return _fitted(views, known, where, start)
+
+
+def _fitted(views: Sequence[TargetView], known: Known, where: object, start: TargetFit | None) -> TargetFit:
     if start is None:
         front = max(views, key=lambda view: view.width_of_a_step)
         fit = _fit([front], known, None)
@@ -282,7 +287,7 @@ def _fit(views: Sequence[TargetView], known: Known, start: FloatArray | None) ->
             change = np.stack([(off(values + step) - left)[used].ravel() / step.max() for step in steps], axis=1)
             normal = change.T @ change / before**2 + np.diag(spread**-2.0)
             pull = change.T @ left[used].ravel() / before**2 + (values - prior) / spread**2
-            values = values - np.linalg.solve(normal, pull)
+            values = values - np.clip(np.linalg.solve(normal, pull), -spread, spread)
         left = off(values)
         noise = max(1.4826 * float(np.median(np.abs(left[seen]))), 1e-3)
         kept = seen & (np.abs(left).max(axis=1) < 5 * noise)
@@ -352,7 +357,7 @@ def _renumbered(view: TargetView, fit: TargetFit) -> TargetView:
 
 def _check(fit: TargetFit, where: object) -> None:
     share = float(fit.kept.mean())
-    if fit.rms > MOST_LEFT_OVER or share < _LEAST_KEPT:
+    if not fit.rms <= MOST_LEFT_OVER or share < _LEAST_KEPT:
         through = "in air" if fit.known.optics is None else "in the vial"
         raise InputError(
             where, f"what is seen is no flat target of {fit.known.pitch_mm:g} mm {through}: its points are off by "
