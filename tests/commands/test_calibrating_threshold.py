@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from calibrate.standards import PIXEL_MM, cylinder, cylinder_mesh, height_map, record
 from vialight.arrays import Grid
+from vialight.cli import main
 from vialight.commands.calibrating import Standard, StandardOptions, calibrate_resin, calibrate_threshold
 from vialight.commands.measuring import reconstruct_recording
 from vialight.config import load_rig
@@ -229,3 +231,33 @@ def test_recordings_that_cannot_be_used_are_refused_with_a_picture(case: str, fo
         )
     assert (tmp_path / "new.refused.png").stat().st_size > 1000
     assert not (tmp_path / "new.toml").exists()
+
+
+def test_several_cylinders_at_once_are_told_apart_by_their_size(folder: Path, tmp_path: Path) -> None:
+    """Two stand in one vial; each profile finds its own, and both give one threshold."""
+
+    def two(x: Any, y: Any, z: Any) -> Any:
+        return np.minimum(cylinder(x, y, z, 1.6, 1.2, (-2.5, 0.4)), cylinder(x, y, z, 2.4, 1.2, (2.2, -0.3)))
+
+    record(tmp_path / "two.h5", two, Grid((32, 100, 100), 0.1), load_rig(folder / "rig.toml"), (30, 176))
+    for name, radius in (("small", 1.6), ("large", 2.4)):
+        np.save(tmp_path / f"{name}.npy", height_map(radius, (3.61, 3.92), size=150))
+    profiles = [option for name in ("small", "large") for option in ("--profile", str(tmp_path / f"{name}.npy"))]
+    told = CliRunner().invoke(
+        main,
+        ["calibrate", "threshold", str(tmp_path / "two.h5"), *profiles, "--profile-pixel-mm", str(PIXEL_MM), "--voxel",
+         "0.2", "--rig", str(folder / "rig.toml"), "--out", str(tmp_path / "new.toml"), "--json"],
+    )  # fmt: skip
+    assert told.exit_code == 0, told.stderr
+    result = json.loads(told.stdout)
+    found = result["found"][0]
+    assert abs(found["value"] - 100.0) < 2 * found["uncertainty"]
+    centres = [one["centre_mm"] for one in result["details"]["standards"]]
+    assert np.allclose(centres, [[-2.5, 0.4], [2.2, -0.3]], atol=0.02)
+    assert (tmp_path / "new.html").read_text().count("<img") == 6
+    np.save(tmp_path / "other.npy", height_map(2.0, (3.61, 3.92), size=150))
+    with pytest.raises(InputError, match="two circles"):
+        calibrate_threshold(
+            [Standard(tmp_path / "two.h5", tmp_path / "other.npy")], folder / "rig.toml", tmp_path / "no.toml",
+            options=COARSE,
+        )  # fmt: skip

@@ -20,6 +20,9 @@ ROUNDNESS = 0.025
 """Largest amplitude of any wave of the radius round a circle, of the radius: axes that differ by 5 % at the most."""
 ALL_ROUND = 0.75
 """Share of the directions in which an edge must be seen."""
+LIKE = 0.08
+"""Share by which a circle's radius may differ from that of the one looked for, among others."""
+MOST_CIRCLES = 8
 _SECTORS = 36
 WAVES = (2, 3, 4, 5, 6)
 """Waves round the circle that are looked for: 2 is an ellipse, 4 a square."""
@@ -186,23 +189,37 @@ def _crossings(heights: FloatArray, level: float) -> tuple[FloatArray, FloatArra
     return np.stack([at, rows[crossed]], axis=1), gap
 
 
-def only_circle(edge: Edge, shape: tuple[int, ...], pixel_mm: float, where: object) -> tuple[float, float, float]:
-    """Return centre and radius of a map's circle, roughly; refuse a map with none or with two."""
+def only_circle(
+    edge: Edge, shape: tuple[int, ...], pixel_mm: float, where: object, like_mm: float | None = None
+) -> tuple[float, float, float]:
+    """Return centre and radius of a map's circle, roughly; refuse a map with none or with two.
+
+    Of several, the one whose radius is like `like_mm`, where that is given and the others' are not.
+    """
     found = strongest_circle(edge, shape, pixel_mm)
     if found is None:
         raise InputError(
             where, f"no circle: no ring has an edge under more than {VOTES:.0%} of it",
             accepted="a map with the whole rim of one cylinder", remedy="see that all of it is in the map",
         )  # fmt: skip
-    x, y, radius, coarse = found
-    rest = np.abs(_off(edge.points_mm, x, y, radius)) > 3 * coarse
-    other = strongest_circle(Edge(edge.points_mm[rest], edge.gap_mm[rest]), shape, pixel_mm)
-    if other is not None:
+    circles: list[tuple[float, float, float]] = []
+    while found is not None and len(circles) < MOST_CIRCLES:
+        x, y, radius, coarse = found
+        circles.append((x, y, radius))
+        rest = np.abs(_off(edge.points_mm, x, y, radius)) > 3 * coarse
+        edge = Edge(edge.points_mm[rest], edge.gap_mm[rest])
+        found = strongest_circle(edge, shape, pixel_mm)
+    if len(circles) == 1:
+        return circles[0]
+    fit = [one for one in circles if like_mm is not None and abs(one[2] / like_mm - 1) < LIKE]
+    if len(fit) != 1:
+        (x, y, radius), other = circles[:2]
+        wanted = "one" if like_mm is None else f"one of {2 * like_mm:.2f} mm, others of other sizes"
         raise InputError(
             where, f"two circles: of {2 * radius:.2f} mm at ({x:.2f}, {y:.2f}) mm and of {2 * other[2]:.2f} mm at "
-            f"({other[0]:.2f}, {other[1]:.2f}) mm", accepted="one", remedy="cut the map to one of them",
+            f"({other[0]:.2f}, {other[1]:.2f}) mm", accepted=wanted, remedy="cut the map to one of them",
         )  # fmt: skip
-    return x, y, radius
+    return fit[0]
 
 
 def strongest_circle(edge: Edge, shape: tuple[int, ...], pixel_mm: float) -> tuple[float, float, float, float] | None:

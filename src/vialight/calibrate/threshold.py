@@ -128,7 +128,7 @@ class RimThreshold:
         return 2 * self.std / self.slope_per_mm
 
 
-def overhead(density: Float32Array, grid: Grid, where: object = "") -> Overhead:
+def overhead(density: Float32Array, grid: Grid, where: object = "", *, like_mm: float | None = None) -> Overhead:
     """Find a cylinder in a volume and look at it from above.
 
     Parameters
@@ -139,6 +139,8 @@ def overhead(density: Float32Array, grid: Grid, where: object = "") -> Overhead:
         Where its voxels lie.
     where
         Named in errors.
+    like_mm
+        Radius of the one that is meant, where there are several.
 
     Raises
     ------
@@ -147,12 +149,12 @@ def overhead(density: Float32Array, grid: Grid, where: object = "") -> Overhead:
     """
     _check_that_something_cured(density, where)
     around_all = density.mean(axis=0, dtype=np.float64)
-    rough = _circle(around_all, grid, where)
+    rough = _circle(around_all, grid, where, like_mm)
     bottom, top = _ends(density, grid, rough, where)
     margin = ENDS_SHARE * (top - bottom)
     within = (grid.z_mm >= bottom + margin) & (grid.z_mm <= top - margin)
     seen = density[within].mean(axis=0, dtype=np.float64)
-    circle = _circle(seen, grid, where)
+    circle = _circle(seen, grid, where, like_mm)
     check_round(circle, where)
     taper = _taper(density[within], grid, circle)
     if abs(taper) > ROUNDNESS * circle.radius_mm:
@@ -250,12 +252,12 @@ def _check_that_something_cured(density: Float32Array, where: object) -> None:
         )  # fmt: skip
 
 
-def _circle(view: FloatArray, grid: Grid, where: object) -> Circle:
+def _circle(view: FloatArray, grid: Grid, where: object, like_mm: float | None) -> Circle:
     """Return the circle at half contrast of a view from above, in the object's frame."""
     low, high = np.percentile(view, [2, 98])
     level = (low + high) / 2
     edge = edge_of(gaussian_filter(view, 1.0), level, grid.voxel_mm)
-    start = only_circle(edge, view.shape, grid.voxel_mm, where)
+    start = only_circle(edge, view.shape, grid.voxel_mm, where, like_mm)
     # The contrast of the part, not that of the view: a small part is less than 2 % of it.
     for _ in range(2):
         circle = _moved(fit_circle(edge_of(view, level, grid.voxel_mm), start), grid)

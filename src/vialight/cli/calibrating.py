@@ -75,7 +75,9 @@ def resin(
 
 @calibrate.command()
 @click.argument("frames", nargs=-1, required=True, type=_FILE)
-@click.option("--profile", "profiles", multiple=True, type=_FILE, help="Height map of the cylinder, a FRAMES each.")
+@click.option(
+    "--profile", "profiles", multiple=True, type=_FILE, help="Height map of the cylinder, for each FRAMES or several."
+)
 @click.option("--profile-pixel-mm", type=float, help="Pitch of the height maps' pixels.")
 @click.option("--reference", "references", multiple=True, type=_FILE, help="The print's true surface, in place of it.")
 @click.option(
@@ -98,6 +100,8 @@ def threshold(
 ) -> None:  # fmt: skip
     """Find the gelation threshold I_p from FRAMES of a standard cylinder and its profile, or of several.
 
+    Several cylinders of different size may stand in one vial: one FRAMES, a --profile each.
+
     \b
     Example:
       vialight calibrate threshold frames.h5 --profile heights.npy --profile-pixel-mm 0.05 --rig rig.toml --out new.toml
@@ -109,6 +113,8 @@ def threshold(
         from vialight.pipeline import Settings
 
         known = profiles or references
+        if len(frames) == 1:
+            frames *= len(profiles) or 1  # several cylinders at once, of different size
         if (profiles and references) or len(known) != len(frames):
             raise click.UsageError("give a --profile, or else a --reference, for each FRAMES")
         stated = ThresholdConditions(exposure_s=exposure_s, gain_db=gain_db, led_level=led_level)

@@ -151,7 +151,7 @@ def _index(
         profile, _ = profile_circle(one.known, options, out)
         volume, _ = reconstructed(one.frames, rig, options, out, progress)
         with shown_where_refused(out, partial(view_from_above_png, volume.density.mean(axis=0), volume.grid)):
-            seen = overhead(volume.density, volume.grid, one.frames)
+            seen = overhead(volume.density, volume.grid, one.frames, like_mm=profile.radius_mm)
         apparent.append(seen.circle.radius_mm)
         true.append(profile.radius_mm)
         std.append(float(np.hypot(seen.circle.radius_std_mm, profile.radius_std_mm)))

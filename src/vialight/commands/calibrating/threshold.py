@@ -128,7 +128,7 @@ def _rim(
     volume, conditions = reconstructed(standard.frames, rig, options, out, progress)
     std_mm = float(np.hypot(profile.radius_std_mm, profile.radius_mm * pixel_std_share(rig)))
     with shown_where_refused(out, lambda: view_from_above_png(volume.density.mean(axis=0), volume.grid)):
-        seen = overhead(volume.density, volume.grid, standard.frames)
+        seen = overhead(volume.density, volume.grid, standard.frames, like_mm=profile.radius_mm)
         return rim_threshold(seen, profile.radius_mm, std_mm, standard.frames), conditions
 
 
