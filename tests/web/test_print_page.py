@@ -26,7 +26,7 @@ def printing(folder: Path) -> Iterator[str]:
     command = [
         sys.executable, "-c", "from vialight.cli import main; main()", "print", str(plan),
         "--rig", str(rig), "--out", str(folder / "run"), "--resin", "DUDMA", "--bin", "4", "--stop", "manual",
-        "--resin-voxel", "0.4", "--voxel", "0.4", "--serve",
+        "--resin-voxel", "0.4", "--voxel", "0.4", "--every-deg", "180", "--serve",
     ]  # fmt: skip
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         try:

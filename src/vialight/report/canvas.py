@@ -34,8 +34,12 @@ def new_figure(width_inch: float, height_inch: float) -> Figure:
 
 def png(figure: Figure) -> bytes:
     """Return the figure as PNG, the same for the same figure."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
+    figure.set_dpi(_DOTS_PER_INCH)
+    # `savefig` would draw everything twice, first without a picture, to lay it out.
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 
