@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from devices.cameras.fake import ADDRESS, fake_camera
 from devices.gcs2 import Controller, served_over_tcp
 from vialight.cli import main
-from vialight.commands.doctor import Finding, frame_findings, monitor_findings
+from vialight.commands.findings import Finding, frame_findings, monitor_findings, session_findings
 from vialight.devices import CameraFrame
 from vialight.devices.projectors import Monitor
 from vialight.store import open_frames
@@ -71,6 +71,13 @@ def test_a_monitor_must_have_the_projectors_pixels_and_be_as_quick() -> None:
     scaled = Monitor(1, "DLP", 1024, 768, 60, "X11 draws 2 x 2 of its pixels on each of the monitor")
     assert "xrandr --output DLP --scale 1x1" in monitor_findings(scaled, 1024, 768, 32.0)[0].told
     assert "is slower than frame_rate_hz 120" in monitor_findings(monitor, 1024, 768, 120.0)[0].told
+
+
+def test_a_session_that_may_scale_unseen_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert session_findings() == []
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
+    assert told(session_findings())[0][0] == "note"
 
 
 @pytest.fixture(scope="module")

@@ -23,8 +23,6 @@ from vialight.store import open_frames, rig_to_toml
 from vialight.surface import isosurface
 from vialight.twin import load_resin
 
-pytestmark = pytest.mark.alone
-
 SAMPLE_PART = Path(__file__).parents[2] / "src" / "vialight" / "sample" / "part.stl"
 RATE_HZ = 20.0
 

@@ -39,7 +39,8 @@ def png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.set_dpi(_DOTS_PER_INCH)
     # `savefig` would draw everything twice, first without a picture, to lay it out.
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+    canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
+    canvas.print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 

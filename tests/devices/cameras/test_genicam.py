@@ -14,8 +14,6 @@ from vialight.devices import CameraFrame, DeviceError, DeviceTimeoutError, Monot
 from vialight.devices.cameras import GenicamCamera
 from vialight.errors import VialightWarning
 
-pytestmark = pytest.mark.alone
-
 EIGHT_BITS = CameraSettings(pixel_format="Mono8", region=(0, 0, 64, 20))
 
 
