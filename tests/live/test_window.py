@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from vialight.arrays import Float32Array, FloatArray, Grid, ParallelBeam, Volume
-from vialight.config import Camera, Resin, Rig, Stage, Vial, load_rig
+from vialight.config import Camera, Resin, Rig, RunOut, Stage, Vial, load_rig
 from vialight.errors import InputError
 from vialight.live.window import SlidingWindow
 from vialight.mesh import load_mesh
@@ -161,18 +161,29 @@ def test_sums_are_those_of_the_volume(after_twenty_turns: SlidingWindow) -> None
 def test_a_turn_of_a_still_object_is_what_the_pipeline_makes_of_it(
     direction: Literal[1, -1], binning: int, tmp_path: Path
 ) -> None:
-    rig = RIG.model_copy(update={"stage": Stage(direction=direction)})
+    assert_as_the_pipeline_makes_it(RIG.model_copy(update={"stage": Stage(direction=direction)}), binning, tmp_path)
+
+
+def test_a_tilted_axis_and_a_run_out_are_straightened_as_in_the_pipeline(tmp_path: Path) -> None:
+    # In line with the camera at angle 0, so that both begin with the same virtual angle.
+    stage = Stage(run_out=RunOut(radius_mm=0.2, phase_deg=90.0))
+    camera = RIG.need_camera().model_copy(update={"axis_tilt_deg": 0.8})
+    assert_as_the_pipeline_makes_it(RIG.model_copy(update={"stage": stage, "camera": camera}), 1, tmp_path)
+
+
+def assert_as_the_pipeline_makes_it(rig: Rig, binning: int, folder: Path) -> None:
+    direction = rig.stage.direction
     # Virtual angles begin at 0 in the window, in the pipeline with the first frame.
     angles = turn(0.0)
     counts = np.stack([np.rint(50 * frame(angle)) for angle in angles]).astype(np.uint16)
     dark = np.rint(50 * DARK).astype(np.uint16)
-    write_frames(tmp_path / "f.h5", counts, direction * angles, dark=dark)
+    write_frames(folder / "f.h5", counts, direction * angles, dark=dark)
     settings = Settings(voxel_mm=VOXEL_MM * binning, binning=binning)
     made = window(rig, dark=dark, voxel_mm=settings.voxel_mm, binning=binning)
     for image, angle in zip(counts, direction * angles, strict=True):
         assert made.add(image, float(angle))
     made.renew(everything=True)
-    with open_frames(tmp_path / "f.h5") as frames:
+    with open_frames(folder / "f.h5") as frames:
         expected = reconstruct(open_scan(frames, rig, settings), settings)
     assert made.grid == expected.grid
     assert np.abs(made.volume - expected.density).max() < TOLERANCE * expected.density.max()
