@@ -123,6 +123,8 @@ def test_print_goes_on_after_its_live_measurement_was_killed(tmp_path: Path) -> 
     assert any("again" in entry.get("message", "") for entry in events if entry["event"] == "live")
     assert result["printed"]["ended_by"] == "turns"
     assert result["printed"]["lit_turns"] == pytest.approx(4.0, abs=0.05)
+    assert result["printed"]["refreshes"] > 0.9 * 32 * result["printed"]["lit_s"]
+    assert result["printed"]["refreshes_not_due"] < 0.02 * result["printed"]["refreshes"]
     assert result["measured"] is not None
     printed, meant = load_mesh(run / "surface.stl"), load_mesh(run / "reference.stl")
     assert printed.volume_mm3 > 0.2 * meant.volume_mm3

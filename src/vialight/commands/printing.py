@@ -17,6 +17,7 @@ from vialight.commands.kept_rehearsals import kept_stop_model
 from vialight.commands.kinetics import REHEARSAL
 from vialight.commands.measuring import measure_surface, reconstruct_recording
 from vialight.commands.provenance import inputs_json, versions
+from vialight.commands.shown_light import patterns_shown
 from vialight.config import Rig, ThresholdConditions
 from vialight.devices.opening import RealPrinter, names_devices
 from vialight.devices.simulated import Mishaps, SimulatedPrinter, WorldSettings
@@ -186,6 +187,7 @@ def print_part(
             write_json(run / RUN, result | {"state": "failed", "error": str(error) or type(error).__name__})
             raise
         truth = printer.write_truth(run / "truth.stl")
+    printed |= patterns_shown(run)
     result |= {"state": "done", "printed": printed, "truth": truth, "elapsed_s": round(time.monotonic() - started, 3)}
     write_json(run / RUN, result)
     on_step("measuring the finished print")

@@ -104,15 +104,29 @@ def light_of(run: Path, rig: Rig, frames: FrameFile, patterns: Patterns | None) 
     return Light(source, patterns, None if patterns is None else Shown(time_s, pattern, angle), time_s, lit)
 
 
+def patterns_shown(run: Path) -> dict[str, int]:
+    """Count the refreshes that showed a pattern, and those of them at which another was due.
+
+    Parameters
+    ----------
+    run
+        Its folder, with ``projector.csv``; both counts are 0 without.
+    """
+    log = run / "projector.csv"
+    rows = [row for row in _rows(log) if row["shown"] != "-1"] if log.exists() else []
+    return {"refreshes": len(rows), "refreshes_not_due": sum(row["shown"] != row["due"] for row in rows)}
+
+
 def _logged(path: Path) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]]]:
-    """Return when patterns appeared, and which; a line that was cut short by a kill is left out."""
-    time_s, pattern = [], []
+    """Return when patterns appeared, and which."""
+    rows = _rows(path)
+    return np.array([float(row["shown_s"]) for row in rows]), np.array([int(row["shown"]) for row in rows], np.int64)
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    """Return the refreshes that showed something; a line that was cut short by a kill is left out."""
     whole, _, _ = path.read_text(encoding="ascii").rpartition("\n")
-    for row in csv.DictReader(whole.splitlines()):
-        if row["shown_s"]:
-            time_s.append(float(row["shown_s"]))
-            pattern.append(int(row["shown"]))
-    return np.array(time_s), np.array(pattern, np.int64)
+    return [row for row in csv.DictReader(whole.splitlines()) if row["shown_s"]]
 
 
 def _known_lit_s(run: Path) -> float | None:
