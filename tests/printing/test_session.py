@@ -52,6 +52,7 @@ def test_print_of_two_turns_has_light_for_two_turns_and_images_for_three(tmp_pat
     with quick_printer(tmp_path) as printer:
         told = quick_print(tmp_path, printer)
         flips = read_flips(printer.folder)
+        time.sleep(1.5)  # frames come and nobody takes them
         truth = printer.write_truth(tmp_path / "truth.stl")
     assert told["ended_by"] == "turns"
     assert told["lit_turns"] == pytest.approx(2.0, abs=0.03)

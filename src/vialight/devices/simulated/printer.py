@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import shutil
+import time
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -20,7 +21,7 @@ from vialight.devices.simulated.world import WorldSettings, run_world
 from vialight.links import Mailbox, shared_folder
 
 _START_TIMEOUT_S = 120.0
-_TRUTH_TIMEOUT_S = 60.0
+_TRUTH_TIMEOUT_S, _DRAIN_S = 60.0, 0.02
 _END_TIMEOUT_S = 3.0
 
 
@@ -104,7 +105,14 @@ class SimulatedPrinter:
         """Write what has truly gelled as STL and return its volume and the largest dose; None where that fails."""
         try:
             self._orders.send(("truth", str(path)))
-            return self._orders.recv() if self._orders.poll(_TRUTH_TIMEOUT_S) else None
+            deadline = time.monotonic() + _TRUTH_TIMEOUT_S
+            while not self._orders.poll(_DRAIN_S):
+                while self._frames.poll():  # the world waits for room for a frame that nobody takes any more
+                    self._frames.recv_bytes()
+                if time.monotonic() > deadline:
+                    return None
+            told: dict[str, float] | None = self._orders.recv()
+            return told
         except (OSError, EOFError):
             return None
 
