@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import json
 import signal
 import subprocess
@@ -33,6 +32,11 @@ pytestmark = [needs_xvfb, pytest.mark.alone]
 SPEED_DEG_S = 120.0
 STAGE_LATENCY_DEG = 0.015 * SPEED_DEG_S
 """Half of the longest round trip that is trusted, at that speed."""
+LATE_SHARE, OFF_SHARE = 0.05, 0.01
+"""Of refreshes that may show another pattern than is due, and one that is not due within a refresh either way.
+
+Of some 350 refreshes one hiccup of a twentieth of a second costs 1 %: a smaller share needs a longer print.
+"""
 _PATIENCE_S = 200.0
 
 
@@ -134,14 +138,13 @@ def test_print_with_real_transports_shows_records_and_ends_well(screen: Xvfb, tm
     assert printed["lit_turns"] == pytest.approx(2.0, abs=0.05)
     assert turned > 3.0
     assert printed["frames_missed"] == 0
-    assert np.percentile(off_deg, 95) < STAGE_LATENCY_DEG  # where a busy machine holds up the stage, frames do not wait
+    assert off_deg.max() < STAGE_LATENCY_DEG
     assert result["truth"] is None
     assert result["measured"] is None
     assert "1e+06" in result["why_not_measured"] or "1000000" in result["why_not_measured"]
-    with (running.run / "projector.csv").open() as file:
-        rows = [row for row in csv.DictReader(file) if row["shown"] != "-1"]
-    assert len(rows) > 100
-    assert sum(row["due"] != row["shown"] for row in rows) <= 0.05 * len(rows)  # on a busy machine
+    assert printed["refreshes"] > 100
+    assert printed["refreshes_not_due"] <= LATE_SHARE * printed["refreshes"]
+    assert printed["refreshes_off"] <= OFF_SHARE * printed["refreshes"]
 
 
 def test_light_goes_off_while_the_stage_is_silent_and_for_good_when_the_print_is_killed(

@@ -222,7 +222,7 @@ def test_stage_that_slows_by_a_fifth_still_gets_every_pattern_at_its_angle(tmp_p
 
 
 def test_lost_doubled_and_swapped_frames_and_a_jump_of_time_leave_angles_right(tmp_path: Path) -> None:
-    mishaps = Mishaps(lost_share=0.05, doubled_share=0.05, swapped_share=0.05, time_jump_at_s=9.0, time_jump_s=100.0)
+    mishaps = Mishaps(lost_share=0.05, doubled_share=0.05, swapped_share=0.2, time_jump_at_s=9.0, time_jump_s=100.0)
     with quick_printer(tmp_path, mishaps=mishaps) as printer:
         told = quick_print(tmp_path, printer, turns=3.0)
         segments = printer.devices.stage._segments  # type: ignore[attr-defined]

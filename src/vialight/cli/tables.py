@@ -85,7 +85,8 @@ def print_lines(result: dict[str, Any], out: Path) -> list[str]:
     lines = [
         f"light on        {printed['lit_s']:.1f} s, {printed['lit_turns']:.2f} turns; ended by {printed['ended_by']}",
         f"frames          {printed['frames']}, {printed['frames_missed']} missed",
-        f"patterns        {printed['refreshes']} refreshes, {printed['refreshes_not_due']} with another than was due",
+        f"patterns        {printed['refreshes']} refreshes, {printed['refreshes_not_due']} with another than was due, "
+        f"{printed['refreshes_off']} by more than a refresh",
     ]
     if printed["forecast"]:
         lines.append(f"forecast        {printed['forecast']['why']}")

@@ -105,28 +105,40 @@ def light_of(run: Path, rig: Rig, frames: FrameFile, patterns: Patterns | None) 
 
 
 def patterns_shown(run: Path) -> dict[str, int]:
-    """Count the refreshes that showed a pattern, and those of them at which another was due.
+    """Count refreshes that showed a pattern, those at which another was due, and those at which it was long not due.
 
     Parameters
     ----------
     run
-        Its folder, with ``projector.csv``; both counts are 0 without.
+        Its folder, with ``projector.csv``; all counts are 0 without.
+
+    Returns
+    -------
+    dict
+        ``refreshes``; ``refreshes_not_due``; ``refreshes_off``, at which the pattern was due neither then nor at the
+        refreshes before and after.
     """
     log = run / "projector.csv"
-    rows = [row for row in _rows(log) if row["shown"] != "-1"] if log.exists() else []
-    return {"refreshes": len(rows), "refreshes_not_due": sum(row["shown"] != row["due"] for row in rows)}
+    rows = [(int(row["due"]), int(row["shown"])) for row in _rows(log)] if log.exists() else []
+    due = [one for one, _ in rows]
+    lit = [(k, shown) for k, (_, shown) in enumerate(rows) if shown >= 0]
+    return {
+        "refreshes": len(lit),
+        "refreshes_not_due": sum(shown != due[k] for k, shown in lit),
+        "refreshes_off": sum(shown not in due[max(0, k - 1) : k + 2] for k, shown in lit),
+    }
 
 
 def _logged(path: Path) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]]]:
     """Return when patterns appeared, and which."""
-    rows = _rows(path)
+    rows = [row for row in _rows(path) if row["shown_s"]]
     return np.array([float(row["shown_s"]) for row in rows]), np.array([int(row["shown"]) for row in rows], np.int64)
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
-    """Return the refreshes that showed something; a line that was cut short by a kill is left out."""
+    """Return the refreshes, those that were missed too; a line that was cut short by a kill is left out."""
     whole, _, _ = path.read_text(encoding="ascii").rpartition("\n")
-    return [row for row in csv.DictReader(whole.splitlines()) if row["shown_s"]]
+    return list(csv.DictReader(whole.splitlines()))
 
 
 def _known_lit_s(run: Path) -> float | None:

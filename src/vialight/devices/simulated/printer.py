@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import shutil
 import time
@@ -103,7 +104,7 @@ class SimulatedPrinter:
 
     def write_truth(self, path: Path) -> dict[str, float] | None:
         """Write what has truly gelled as STL and return its volume and the largest dose; None where that fails."""
-        try:
+        with contextlib.suppress(OSError, EOFError):
             self._orders.send(("truth", str(path)))
             deadline = time.monotonic() + _TRUTH_TIMEOUT_S
             while not self._orders.poll(_DRAIN_S):
@@ -113,8 +114,7 @@ class SimulatedPrinter:
                     return None
             told: dict[str, float] | None = self._orders.recv()
             return told
-        except (OSError, EOFError):
-            return None
+        return None
 
     def close(self) -> None:
         """End all of its processes."""
