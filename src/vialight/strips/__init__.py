@@ -15,21 +15,23 @@ them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from vialight.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from vialight.memory import aligned_zeros, padded_depth
+from vialight.memory import aligned_zeros
 from vialight.strips import climbing, level
-from vialight.strips.shadows import absorbed
+from vialight.strips.layouts import SPARE, filled_boxes, lit_strips, voxel_rows, whole_vectors
+from vialight.strips.shadows import absorbed, parts_of
 
 _TILE, _WIDE_TILE, _DEPTH_OF_WIDE_TILES = 16, 32, 96
 """Edges of tiles in voxels; up to how many slices a wide one stays in a cache of 512 kB."""
 
-_CLIMB_A_KNOT = 0.35
-"""Slices that light may climb from one knot to the next, between which it is interpolated."""
+_CLIMB_A_KNOT, _ABSORPTION_A_KNOT = 0.35, 0.15
+"""Slices that light may climb, and share of it that may be absorbed, from one knot to the next, between which it is
+interpolated: the second leaves light that comes one way within 0.15^2 / 10 of what it is."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,7 @@ class StripGeometry:
     within_mm: float = np.inf
 
     def __post_init__(self) -> None:
-        # A shadow is up to sqrt(2) voxels wide; more than three strips would not be counted.
-        if self.voxel_mm > math.sqrt(2) * self.spacing_mm:
-            raise ValueError(f"voxels of {self.voxel_mm} mm are too wide for strips of {self.spacing_mm} mm")
+        parts_of(self.voxel_mm / self.spacing_mm)  # kernels would not count strips beyond these
 
     @property
     def voxel_mm(self) -> float:
@@ -85,12 +85,14 @@ class StripGeometry:
 def backproject_strips(projections: Float32Array, geometry: StripGeometry) -> Float32Array:
     """Sum the light that reaches each voxel over all angles.
 
+    A full turn, where each strip is lit from both ends, is summed as half a turn of light that differs by its way.
+
     Parameters
     ----------
     projections
         (psi, s, z) float32, irradiance of the strips where they pass closest to the axis.
     geometry
-        Of strips and voxels; what lies outside the strips counts as dark.
+        Of strips and voxels, which may be up to 3.5 strips wide; what lies outside the strips counts as dark.
 
     Returns
     -------
@@ -98,23 +100,62 @@ def backproject_strips(projections: Float32Array, geometry: StripGeometry) -> Fl
         (y, x, z) float32.
     """
     _check(projections.shape[:2], (len(geometry.psi_rad), geometry.samples))
-    angles, strips, slices = projections.shape
-    dose = np.empty((len(geometry.y_mm), len(geometry.x_mm), slices), np.float32)
-    depth, lit, plain = padded_depth(slices), _lit_strips(projections), _plain(geometry)
-    tile = _tile(depth)
-    if geometry.z_mm is not None:
-        climbing.backproject(
-            tile, _knots(geometry, tile), np.ascontiguousarray(projections), lit, *plain.rays, plain.reached,
-            *plain.losses, plain.absorption, geometry.from_both_sides, _first_height(geometry), depth, dose,
-        )  # fmt: skip
+    climbs = geometry.z_mm is not None
+    if _is_lit_from_both_ends(geometry) and (climbs or not _plain(geometry).loses):
+        half = len(geometry.psi_rad) // 2
+        there, back = projections[:half], projections[half:, ::-1]
+        geometry = replace(geometry, psi_rad=geometry.psi_rad[:half], from_both_sides=True)
+        if not climbs:
+            return _level_dose(there + back, geometry)
+        dose = _climbing_dose(np.ascontiguousarray(there), np.ascontiguousarray(back), geometry)
+        dose *= np.float32(2)  # the mean of both ways is what light from both sides brings
         return dose
-    more = -angles % level.ANGLES_A_PASS
+    if climbs:
+        light = np.ascontiguousarray(projections)
+        return _climbing_dose(light, light, geometry)
+    return _level_dose(projections, geometry)
+
+
+def _is_lit_from_both_ends(geometry: StripGeometry) -> bool:
+    """Whether each projection comes again half a turn later, in the same strips."""
+    half, odd = divmod(len(geometry.psi_rad), 2)
+    tilt = geometry.tilt_per_mm
+    return (
+        not (odd or geometry.from_both_sides)
+        and bool(np.allclose(geometry.psi_rad[half:] - geometry.psi_rad[:half], np.pi, atol=1e-9))
+        and abs(geometry.first_s_mm + (geometry.samples - 1) / 2 * geometry.spacing_mm) < 1e-9
+        and (tilt is None or bool(np.allclose(tilt, tilt[::-1], rtol=1e-6)))
+    )
+
+
+def _climbing_dose(there: Float32Array, back: Float32Array, geometry: StripGeometry) -> Float32Array:
+    slices, plain = there.shape[2], _plain(geometry)
+    dose = np.empty((len(geometry.y_mm), len(geometry.x_mm), slices), np.float32)
+    depth, parts = whole_vectors(slices), parts_of(plain.voxel)
+    tile = _tile(depth, parts)
+    first, last = lit_strips(there).T
+    if back is not there:
+        first_back, last_back = lit_strips(back).T
+        first, last = np.minimum(first, first_back), np.maximum(last, last_back)
+    climbing.backproject(
+        tile, parts, _knots(geometry, tile, alike=back is there), there, back, np.stack([first, last], axis=1),
+        *plain.rays, *plain.reached, *plain.losses, plain.absorption, geometry.from_both_sides,
+        _first_slice(geometry), depth, dose,
+    )  # fmt: skip
+    return dose
+
+
+def _level_dose(projections: Float32Array, geometry: StripGeometry) -> Float32Array:
+    (angles, strips, slices), plain = projections.shape, _plain(geometry)
+    dose = np.empty((len(geometry.y_mm), len(geometry.x_mm), slices), np.float32)
+    depth, parts = whole_vectors(slices), parts_of(plain.voxel)
+    more = -angles % level.ENTRIES_A_PASS
     rows = aligned_zeros((angles + more, strips + 2 * level.DARK, depth))
     rows[:angles, level.DARK : -level.DARK, :slices] = projections
-    lit, plain = np.pad(lit, ((0, more), (0, 0))), plain.lengthened(more)
+    lit, plain = np.pad(lit_strips(projections), ((0, more), (0, 0))), plain.lengthened(more)
     level.backproject(
-        tile, rows.reshape(-1, depth), strips, lit, *plain.rays, plain.reached, *plain.losses, plain.loses,
-        geometry.from_both_sides, dose,
+        _tile(depth, parts), parts, rows.reshape(-1, depth), strips, lit, *plain.rays, *plain.reached, *plain.losses,
+        plain.loses, geometry.from_both_sides, dose,
     )  # fmt: skip
     return dose
 
@@ -136,23 +177,29 @@ def project_strips(volume: Float32Array, geometry: StripGeometry) -> Float32Arra
     """
     _check(volume.shape[:2], (len(geometry.y_mm), len(geometry.x_mm)))
     slices, plain = volume.shape[2], _plain(geometry)
-    depth = padded_depth(slices)
-    tile = _tile(depth)
-    rows = aligned_zeros((*volume.shape[:2], depth))
-    rows[:, :, :slices] = volume
-    columns = np.arange(volume.shape[1])
-    lit = volume.any(axis=2) & (columns >= plain.reached[:, :1]) & (columns < plain.reached[:, 1:])
-    rows, lit = rows.reshape(-1, depth), lit.ravel()
+    if parts_of(plain.voxel) > 1:
+        raise ValueError(f"voxels {plain.voxel} strips wide are only backprojected to")
+    laid = voxel_rows(volume, plain.reached[0])
+    depth = laid.by_y.shape[1]
     if geometry.z_mm is not None:
         projections = np.zeros((len(geometry.psi_rad), geometry.samples, slices), np.float32)
+        tile = _tile(depth, 1)
         climbing.project(
-            tile, _knots(geometry, tile), rows, lit, *plain.rays, *plain.losses, plain.absorption,
-            geometry.from_both_sides, _first_height(geometry), projections,
+            tile, _knots(geometry, tile, alike=True), laid.by_y[SPARE:], laid.pitch_y, laid.filled, *plain.rays,
+            *plain.losses, plain.absorption, geometry.from_both_sides, _first_slice(geometry), projections,
         )  # fmt: skip
         return projections
-    projections = aligned_zeros((len(geometry.psi_rad), geometry.samples, depth))
-    level.project(tile, rows, lit, *plain.rays, *plain.losses, plain.loses, geometry.from_both_sides, projections)
-    return np.ascontiguousarray(projections[:, :, :slices])
+    seen = aligned_zeros((len(geometry.psi_rad) * geometry.samples, depth))
+    upright = np.abs(plain.cosine) >= np.abs(plain.sine)
+    for turned, side, angles, rows, pitch, filled in (
+        (plain, 1, np.flatnonzero(upright), laid.by_y, laid.pitch_y, laid.filled),
+        (plain.transposed(), -1, np.flatnonzero(~upright), laid.by_x, laid.pitch_x, laid.filled.T),
+    ):
+        level.project(
+            angles, rows, SPARE, pitch, filled_boxes(filled, level.SLOW_TILE, level.FAST_TILE), *turned.rays,
+            *turned.losses, side, plain.loses, geometry.from_both_sides, geometry.samples, seen,
+        )  # fmt: skip
+    return np.ascontiguousarray(seen.reshape(len(geometry.psi_rad), geometry.samples, depth)[:, :, :slices])
 
 
 def _check(shape: tuple[int, ...], wanted: tuple[int, int]) -> None:
@@ -170,7 +217,8 @@ class _Plain(NamedTuple):
     voxel: float
     x: FloatArray
     y: FloatArray
-    reached: IntArray
+    reached: tuple[IntArray, IntArray]
+    """First voxel that is wanted, and the one after the last: along x for every y, along y for every x."""
     absorption: float
     tilt: Float32Array
 
@@ -189,6 +237,13 @@ class _Plain(NamedTuple):
         """Whether anything is lost at all."""
         return self.absorption != 0 or bool(self.tilt.any())
 
+    def transposed(self) -> _Plain:
+        """Return the same with x and y in each other's places; light then comes from the other side."""
+        return self._replace(
+            cosine=-self.sine, sine=-self.cosine, x=self.y, y=self.x, reached=self.reached[::-1],
+            absorption=-self.absorption,
+        )  # fmt: skip
+
     def lengthened(self, angles: int) -> _Plain:
         """Return the same with some more angles."""
         return self._replace(cosine=np.pad(self.cosine, (0, angles)), sine=np.pad(self.sine, (0, angles)))
@@ -198,36 +253,46 @@ def _plain(geometry: StripGeometry) -> _Plain:
     width = geometry.spacing_mm
     tilt = np.zeros(geometry.samples) if geometry.tilt_per_mm is None else geometry.tilt_per_mm * width
     x, y = geometry.x_mm / width, geometry.y_mm / width
-    half_chord = np.sqrt(np.maximum((geometry.within_mm / width) ** 2 - y**2, 0))[:, None]
-    reached = np.searchsorted(x, np.concatenate([-half_chord, np.nextafter(half_chord, np.inf)], axis=1))
+    reached: BoolArray = np.square(x) + np.square(y)[:, None] <= (geometry.within_mm / width) ** 2
     return _Plain(
         np.cos(geometry.psi_rad), np.sin(geometry.psi_rad), geometry.first_s_mm / width, geometry.voxel_mm / width,
-        x, y, reached.astype(np.int64), geometry.absorption_per_mm * width, tilt.astype(np.float32),
+        x, y, (_ends(reached), _ends(reached.T)), geometry.absorption_per_mm * width, tilt.astype(np.float32),
     )  # fmt: skip
 
 
-def _tile(depth: int) -> int:
-    """Return the edge of tiles of voxels for a number of slices."""
-    return _WIDE_TILE if depth <= _DEPTH_OF_WIDE_TILES else _TILE
+def _ends(inside: BoolArray) -> IntArray:
+    """Return (row, 2) the first place in every row of a convex region, and the one after the last; twice 0 for none."""
+    last = inside.shape[1] - inside[:, ::-1].argmax(axis=1)
+    return np.stack([inside.argmax(axis=1), np.where(inside.any(axis=1), last, 0)], axis=1)
 
 
-def _knots(geometry: StripGeometry, tile: int) -> int:
-    """Return at how many places of its way through a tile the climb of light has to be found."""
+def _tile(depth: int, parts: int) -> int:
+    """Return the edge of tiles of voxels for a number of slices, and of parts of their shadows."""
+    return _WIDE_TILE if depth <= _DEPTH_OF_WIDE_TILES and parts == 1 else _TILE
+
+
+def _knots(geometry: StripGeometry, tile: int, *, alike: bool) -> int:
+    """Return at how many places of its way through a tile the climb of light has to be found.
+
+    Light that is not alike both ways needs some for the difference in what is absorbed, ``tanh(mu t)``.
+    """
+    assert geometry.z_mm is not None  # for mypy: the callers have asked
     assert geometry.z_mm is not None  # for mypy: the callers have asked
     tilt = 0.0 if geometry.tilt_per_mm is None else float(np.abs(geometry.tilt_per_mm).max())
-    climb = tile * math.sqrt(2) * tilt * float(np.abs(geometry.z_mm).max())
-    return 1 + max(1, math.ceil(climb / _CLIMB_A_KNOT))
+    way_mm = (tile - 1) * math.sqrt(2) * geometry.voxel_mm
+    intervals = way_mm * tilt * float(np.abs(geometry.z_mm).max()) / _slice_mm(geometry) / _CLIMB_A_KNOT
+    if not alike:
+        intervals = max(intervals, way_mm * geometry.absorption_per_mm / _ABSORPTION_A_KNOT)
+    return 1 + max(1, math.ceil(intervals))
 
 
-def _lit_strips(projections: Float32Array) -> IntArray:
-    """Return (psi, 2) the first strip with any light, and the one after the last."""
-    lit: BoolArray = np.asarray(projections.any(axis=2))
-    last = lit.shape[1] - lit[:, ::-1].argmax(axis=1)
-    return np.stack([lit.argmax(axis=1), np.where(lit.any(axis=1), last, 0)], axis=1)
-
-
-def _first_height(geometry: StripGeometry) -> float:
+def _first_slice(geometry: StripGeometry) -> float:
     """Return the height of the first slice, in slices."""
     assert geometry.z_mm is not None  # for mypy: the callers have asked
-    slice_mm = geometry.z_mm[1] - geometry.z_mm[0] if len(geometry.z_mm) > 1 else geometry.voxel_mm
-    return float(geometry.z_mm[0] / slice_mm)
+    return float(geometry.z_mm[0] / _slice_mm(geometry))
+
+
+def _slice_mm(geometry: StripGeometry) -> float:
+    """Return the distance of slices."""
+    assert geometry.z_mm is not None  # for mypy: the callers have asked
+    return float(geometry.z_mm[1] - geometry.z_mm[0]) if len(geometry.z_mm) > 1 else geometry.voxel_mm

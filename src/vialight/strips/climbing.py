@@ -8,18 +8,21 @@ from numba import njit, prange
 from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, IntArray
 from vialight.strips.level import (
     ANGLES_A_JOB,
+    ENTRIES_A_PASS,
     lowest_strip,
+    shadows_in_line,
     strips_seen,
     strips_seen_at,
     tile_at,
     tiles_of,
-    voxels_seen,
+    wanted,
+    weaken_line,
 )
 from vialight.strips.shadows import TAPS, Int32Array, shadows, weaken
 from vialight.strips.sums import IDS, ROWS_A_PAIR, add_rows_to_two, add_shadows, fast, fill_up, list_by_strip
 
-_ANGLES_A_PASS = 2
-"""Angles summed before a voxel is written back: each counts twice, at the knots before and behind the voxel."""
+_PARTS_A_PASS = ENTRIES_A_PASS // 2
+"""Angles, or parts of shadows, summed before a voxel is written back: each counts at the knots before and behind it."""
 
 
 @njit(fastmath=FAST_MATH, cache=True)
@@ -107,16 +110,17 @@ def _way(way: int, along: float, slope: float, absorption: float, both: bool) ->
 
 @njit(fastmath=FAST_MATH, cache=True)
 def _split(
-    count: int, row: int, first: Int32Array, weights: Float32Array, offset: float, step: float, knots: int, seen: int
-) -> None:
+    count: int, row: int, far: int, first: Int32Array, weights: Float32Array, offset: float, step: float, knots: int,
+    seen: int,
+) -> None:  # fmt: skip
     """Split the shares in ``weights[row]`` between the knots about each voxel, linearly along the light.
 
     Parameters
     ----------
     count
         Voxels.
-    row, first, weights
-        See `shadows`; ``weights[row + 1]`` is filled, and ``first[row]`` moved to the knot before the voxel.
+    row, far, first, weights
+        See `shadows`; ``weights[far]`` is filled, and ``first[row]`` moved to the knot before the voxel.
     offset, step
         Where the first voxel is, in knots, and how far from one to the next.
     knots, seen
@@ -125,19 +129,19 @@ def _split(
     for k in range(count):
         at = min(max(np.float32(offset + k * step), np.float32(0)), np.float32(knots - 1))
         knot = min(np.int32(at), np.int32(knots - 2))
-        far = at - np.float32(knot)
+        share = at - np.float32(knot)
         first[row, k] += knot * np.int32(seen)
         for tap in range(TAPS):
-            weights[row + 1, tap, k] = far * weights[row, tap, k]
-            weights[row, tap, k] -= weights[row + 1, tap, k]
+            weights[far, tap, k] = share * weights[row, tap, k]
+            weights[row, tap, k] -= weights[far, tap, k]
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def backproject(
-    tile: int, knots: int, projections: Float32Array, lit: IntArray, cosine: FloatArray, sine: FloatArray,
-    first: float, voxel: float, xs: FloatArray, ys: FloatArray, reached: IntArray, absorbed_x: Float32Array,
-    absorbed_y: Float32Array, tilt: Float32Array, absorption: float, both: bool, first_height: float, depth: int,
-    dose: Float32Array,
+    tile: int, parts: int, knots: int, there: Float32Array, back: Float32Array, lit: IntArray, cosine: FloatArray,
+    sine: FloatArray, first: float, voxel: float, xs: FloatArray, ys: FloatArray, reached_x: IntArray,
+    reached_y: IntArray, absorbed_x: Float32Array, absorbed_y: Float32Array, tilt: Float32Array, absorption: float,
+    both: bool, first_height: float, depth: int, dose: Float32Array,
 ) -> None:  # fmt: skip
     """Fill `dose` with the light of all projections; lengths in strip widths, `first_height` in slices.
 
@@ -148,9 +152,9 @@ def backproject(
     ----------
     knots
         Two or more.
-    projections
-        (psi, strip, z).
-    tile, lit, cosine, sine, first, voxel, xs, ys, reached, absorbed_x, absorbed_y, tilt, both, dose
+    there, back
+        (psi, strip, z) light that goes one way, and of the same strips the other way; the latter only counts if `both`.
+    tile, parts, lit, cosine, sine, first, voxel, xs, ys, reached_x, reached_y, absorbed_x, absorbed_y, tilt, both, dose
         See `level.backproject`.
     absorption
         Per strip width.
@@ -159,17 +163,17 @@ def backproject(
     depth
         Slices in whole cache lines.
     """
-    angles, _, slices = projections.shape
-    seen, ways, level = strips_seen(tile, voxel), 2 if both else 1, np.zeros((TAPS, tile), np.float32)
-    ramp = np.arange(slices).astype(np.float32)
+    angles, _, slices = there.shape
+    seen, level = strips_seen(tile, voxel, parts), np.zeros((TAPS, tile), np.float32)
+    angles_a_pass, ramp = _PARTS_A_PASS // parts, np.arange(slices).astype(np.float32)
     for number in prange(tiles_of(tile, len(xs), len(ys))):
         y0, x0, height, width = tile_at(number, tile, len(xs), len(ys))
         sums = np.zeros((tile * tile, depth), np.float32)
-        at = np.zeros((2 * _ANGLES_A_PASS, tile), np.int32)
-        weights = np.zeros((2 * _ANGLES_A_PASS, TAPS, tile), np.float32)
-        rows, lows = np.zeros((_ANGLES_A_PASS * knots * seen, depth), np.float32), np.empty(_ANGLES_A_PASS, np.int64)
-        for a in range(0, angles, _ANGLES_A_PASS):
-            passed = min(_ANGLES_A_PASS, angles - a)
+        at = np.zeros((ENTRIES_A_PASS, tile), np.int32)
+        weights = np.zeros((ENTRIES_A_PASS, TAPS, tile), np.float32)
+        rows, lows = np.zeros((angles_a_pass * knots * seen, depth), np.float32), np.empty(angles_a_pass, np.int64)
+        for a in range(0, angles, angles_a_pass):
+            passed = min(angles_a_pass, angles - a)
             is_lit = False
             for k in range(passed):
                 c, s = cosine[a + k], sine[a + k]
@@ -180,48 +184,63 @@ def backproject(
             for k in range(passed):
                 c, s = cosine[a + k], sine[a + k]
                 near, span = _reach(c, s, xs[x0], ys[y0], voxel, height, width)
-                for strip in range(strips_seen_at(c, s, voxel, height, width)):
+                for strip in range(strips_seen_at(c, s, voxel, parts, height, width)):
                     i = lows[k] + strip
                     for knot in range(knots):
                         row = (k * knots + knot) * seen + strip
                         rows[row] = 0
                         if lit[a + k, 0] <= i < lit[a + k, 1]:
-                            for way in range(ways):
-                                along = near + span * knot / (knots - 1)
-                                weight, drift = _way(way, along, tilt[i], absorption, both)
-                                _gather_climbing(rows, row, projections, a + k, i, weight, drift, first_height, ramp)
-            weights[2 * passed :] = 0
-            for iy in range(height):
-                begin, end = max(reached[y0 + iy, 0], x0) - x0, min(reached[y0 + iy, 1], x0 + width) - x0
+                            along = near + span * knot / (knots - 1)
+                            weight, drift = _way(0, along, tilt[i], absorption, both)
+                            _gather_climbing(rows, row, there, a + k, i, weight, drift, first_height, ramp)
+                            if both:
+                                weight, drift = _way(1, along, tilt[i], absorption, both)
+                                _gather_climbing(rows, row, back, a + k, i, weight, drift, first_height, ramp)
+            weights[2 * parts * passed :] = 0
+            upright = abs(cosine[a]) >= abs(sine[a])
+            for line in range(width if upright else height):
+                begin, end = wanted(upright, line, reached_x, reached_y, x0, y0, height, width)
                 if begin >= end:
                     continue
                 for k in range(passed):
-                    c, s, x, y = cosine[a + k], sine[a + k], xs[x0], ys[y0 + iy]
+                    c, s, entry = cosine[a + k], sine[a + k], 2 * parts * k
                     near, span = _reach(c, s, xs[x0], ys[y0], voxel, height, width)
-                    shadows(width, x * c - y * s - first, c, s, voxel, k * knots * seen - lows[k], 2 * k, at, weights)
-                    if absorption:
-                        weaken(width, 2 * k, weights, absorbed_x, absorbed_y, a + k, x0, y0 + iy, 0.0, 0.0, level, both)
                     a_knot = span / (knots - 1)
-                    _split(width, 2 * k, at, weights, (x * s + y * c - near) / a_knot, voxel * s / a_knot, knots, seen)
-                    for ix in range(width):
-                        at[2 * k + 1, ix] = at[2 * k, ix] + seen
-                for ix in range(begin, end):
-                    add_shadows(sums, iy * tile + ix, rows, ix, at, weights)
+                    shadows_in_line(upright, line, xs, ys, x0, y0, height, width, first, c, s, voxel, parts,
+                                    k * knots * seen - lows[k], entry, at, weights)  # fmt: skip
+                    along = xs[x0 + line] * s + ys[y0] * c if upright else xs[x0] * s + ys[y0 + line] * c
+                    step = voxel * c if upright else voxel * s
+                    for row in range(entry, entry + parts):
+                        if absorption:
+                            weaken_line(upright, line, xs, ys, x0, y0, height, width, c, s, voxel, row, weights,
+                                        absorbed_x, absorbed_y, a + k, level, both)  # fmt: skip
+                        _split(height if upright else width, row, row + parts, at, weights, (along - near) / a_knot,
+                               step / a_knot, knots, seen)  # fmt: skip
+                        for i in range(tile):
+                            at[row + parts, i] = at[row, i] + seen
+                for i in range(begin, end):
+                    add_shadows(sums, i * tile + line if upright else line * tile + i, rows, 0, i, at, weights)
         for iy in range(height):
             for ix in range(width):
                 dose[y0 + iy, x0 + ix] = sums[iy * tile + ix, :slices]
 
 
+@njit(inline="always")
+def _voxels_seen(tile: int, voxel: float) -> int:
+    """Return how many voxels of a tile throw their shadow on one strip, and some to fill up groups, at most."""
+    return min(tile * tile, int(1.5 * tile * (2.5 / voxel + 2))) + ROWS_A_PAIR
+
+
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def project(
-    tile: int, knots: int, rows: Float32Array, lit: BoolArray, cosine: FloatArray, sine: FloatArray, first: float,
-    voxel: float, xs: FloatArray, ys: FloatArray, absorbed_x: Float32Array, absorbed_y: Float32Array,
+    tile: int, knots: int, rows: Float32Array, pitch: int, filled: BoolArray, cosine: FloatArray, sine: FloatArray,
+    first: float, voxel: float, xs: FloatArray, ys: FloatArray, absorbed_x: Float32Array, absorbed_y: Float32Array,
     tilt: Float32Array, absorption: float, both: bool, first_height: float, projections: Float32Array,
 ) -> None:  # fmt: skip
     """Add all voxels to `projections`, (psi, strip, z): the transpose of `backproject`; see `level.project`."""
     angles, strips, slices = projections.shape
-    seen, ways, level = strips_seen(tile, voxel), 2 if both else 1, np.zeros((TAPS, tile), np.float32)
-    room, ramp = voxels_seen(tile, voxel), np.arange(slices).astype(np.float32)
+    seen, ways, level = strips_seen(tile, voxel, 1), 2 if both else 1, np.zeros((TAPS, tile), np.float32)
+    room, ramp = _voxels_seen(tile, voxel), np.arange(slices).astype(np.float32)
     for job in prange((angles + ANGLES_A_JOB - 1) // ANGLES_A_JOB):
         at, weights = np.empty((1, tile), np.int32), np.empty((2, TAPS, tile), np.float32)
         # A list for each strip at each knot, of the voxels between it and the next.
@@ -238,11 +257,11 @@ def project(
                 length[:] = 0
                 for iy in range(height):
                     x, y = xs[x0], ys[y0 + iy]
-                    shadows(width, x * c - y * s - first, c, s, voxel, -low, 0, at, weights)
+                    shadows(width, x * c - y * s - first, c, s, voxel, 1, -low, 0, at, weights)
                     if absorption:
                         weaken(width, 0, weights, absorbed_x, absorbed_y, a, x0, y0 + iy, 0.0, 0.0, level, both)
-                    _split(width, 0, at, weights, (x * s + y * c - near) / a_knot, voxel * s / a_knot, knots, seen)
-                    list_by_strip(width, (y0 + iy) * len(xs) + x0, lit, at, weights, ids, shares, length)
+                    _split(width, 0, 1, at, weights, (x * s + y * c - near) / a_knot, voxel * s / a_knot, knots, seen)
+                    list_by_strip(width, y0 + iy, x0, pitch, filled, at, weights, ids, shares, length)
                 for strip in range(max(0, -low), min(seen, strips - low)):
                     sums[:] = 0
                     last = -1

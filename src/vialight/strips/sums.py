@@ -14,8 +14,8 @@ from vialight.arrays import FAST_MATH, BoolArray, Float32Array
 from vialight.strips.shadows import Int32Array
 
 IDS = np.uint32
-ROWS_A_SUM, ROWS_A_PAIR = 8, 6
-"""Rows added before a sum is written back, and before two are: their weights just fit the registers."""
+ROWS_A_PAIR = 6
+"""Rows added before two sums are written back: their weights just fit the registers."""
 
 
 class _NoOverlap(CompilerBase):
@@ -36,18 +36,22 @@ fast: Callable[[Any], Any] = njit(fastmath=FAST_MATH, cache=True, pipeline_class
 
 @fast
 def add_shadows(
-    sums: Float32Array, voxel: int, rows: Float32Array, k: int, first: Int32Array, weights: Float32Array
+    sums: Float32Array, row: int, rows: Float32Array, entry: int, k: int, first: Int32Array, weights: Float32Array
 ) -> None:
-    """Add to row `voxel` of `sums` four times `TAPS` rows: those from ``first[i, k]`` on, by ``weights[i, :, k]``."""
-    i0, i1, i2, i3 = np.uint64(first[0, k]), np.uint64(first[1, k]), np.uint64(first[2, k]), np.uint64(first[3, k])
-    u0, v0, w0 = weights[0, 0, k], weights[0, 1, k], weights[0, 2, k]
-    u1, v1, w1 = weights[1, 0, k], weights[1, 1, k], weights[1, 2, k]
-    u2, v2, w2 = weights[2, 0, k], weights[2, 1, k], weights[2, 2, k]
-    u3, v3, w3 = weights[3, 0, k], weights[3, 1, k], weights[3, 2, k]
+    """Add to a row of `sums` four times `TAPS` rows: those from ``first[i, k]`` on, by ``weights[i, :, k]``.
+
+    i are four numbers from `entry` on.
+    """
+    i0, i1 = np.uint64(first[entry, k]), np.uint64(first[entry + 1, k])
+    i2, i3 = np.uint64(first[entry + 2, k]), np.uint64(first[entry + 3, k])
+    u0, v0, w0 = weights[entry, 0, k], weights[entry, 1, k], weights[entry, 2, k]
+    u1, v1, w1 = weights[entry + 1, 0, k], weights[entry + 1, 1, k], weights[entry + 1, 2, k]
+    u2, v2, w2 = weights[entry + 2, 0, k], weights[entry + 2, 1, k], weights[entry + 2, 2, k]
+    u3, v3, w3 = weights[entry + 3, 0, k], weights[entry + 3, 1, k], weights[entry + 3, 2, k]
     # Unsigned: a signed index would be looked at for counting from the end.
     one, two = np.uint64(1), np.uint64(2)
     for z in range(sums.shape[1]):
-        sums[voxel, z] += (
+        sums[row, z] += (
             u0 * rows[i0, z]
             + v0 * rows[i0 + one, z]
             + w0 * rows[i0 + two, z]
@@ -61,31 +65,6 @@ def add_shadows(
             + v3 * rows[i3 + one, z]
             + w3 * rows[i3 + two, z]
         )
-
-
-@fast
-def add_rows(
-    sums: Float32Array, a: int, i: int, rows: Float32Array, strip: int, ids: NDArray[IDS], shares: Float32Array,
-    count: int,
-) -> None:  # fmt: skip
-    """Add rows to ``sums[a, i]`` by the first `count` entries of a strip's list, in whole groups of `ROWS_A_SUM`."""
-    for k in range(0, count, ROWS_A_SUM):
-        i0, i1, i2, i3 = _four(ids, strip, k)
-        i4, i5, i6, i7 = _four(ids, strip, k + 4)
-        w0, w1, w2, w3 = shares[strip, 0, k], shares[strip, 0, k + 1], shares[strip, 0, k + 2], shares[strip, 0, k + 3]
-        w4, w5 = shares[strip, 0, k + 4], shares[strip, 0, k + 5]
-        w6, w7 = shares[strip, 0, k + 6], shares[strip, 0, k + 7]
-        for z in range(sums.shape[2]):
-            sums[a, i, z] += (
-                w0 * rows[i0, z]
-                + w1 * rows[i1, z]
-                + w2 * rows[i2, z]
-                + w3 * rows[i3, z]
-                + w4 * rows[i4, z]
-                + w5 * rows[i5, z]
-                + w6 * rows[i6, z]
-                + w7 * rows[i7, z]
-            )
 
 
 @fast
@@ -117,17 +96,19 @@ def _four(ids: NDArray[IDS], strip: int, k: int) -> tuple[np.uint64, np.uint64, 
 
 @njit(fastmath=FAST_MATH, cache=True)
 def list_by_strip(
-    count: int, voxel: int, lit: BoolArray, first: Int32Array, weights: Float32Array, ids: NDArray[IDS],
-    shares: Float32Array, length: NDArray[IDS],
+    count: int, y: int, x: int, pitch: int, filled: BoolArray, first: Int32Array, weights: Float32Array,
+    ids: NDArray[IDS], shares: Float32Array, length: NDArray[IDS],
 ) -> None:  # fmt: skip
     """Append voxels of a row, those that are not empty, to the lists of the strips that their shadows fall on.
 
     Parameters
     ----------
-    count, voxel
-        Voxels in the row, number of the first.
-    lit
-        Of all voxels: whether there is anything in them.
+    count, y, x
+        Voxels, and where the first is.
+    pitch
+        Numbers of voxels from one y to the next.
+    filled
+        (y, x) whether there is anything in a voxel.
     first, weights
         (1, voxel) and (sum, tap, voxel), for one sum or two of each strip; see `shadows`.
     ids
@@ -139,12 +120,12 @@ def list_by_strip(
     """
     two = weights.shape[0] == 2
     for k in range(count):
-        if not lit[voxel + k]:
+        if not filled[y, x + k]:
             continue
         for tap in (np.uint64(0), np.uint64(1), np.uint64(2)):  # `TAPS`, unrolled
             strip = np.uint64(first[0, k]) + tap
             entry = np.uint64(length[strip])
-            ids[strip, entry] = voxel + k
+            ids[strip, entry] = y * pitch + x + k
             share = weights[0, tap, k]
             shares[strip, 0, entry] = share
             if two:
