@@ -11,16 +11,14 @@ from functools import partial
 from typing import get_args
 
 from vialight.errors import InputError
+from vialight.projections.descent import gradient
 from vialight.projections.given import lay_in_vial
+from vialight.projections.goals import VOID_LIMIT, Goal, State
 from vialight.projections.light import Light, dose_of, light_for, strip_positions
 from vialight.projections.methods import (
     CEILING,
-    VOID_LIMIT,
-    Goal,
     Method,
     MethodName,
-    State,
-    gradient,
     normalised,
     object_space,
     osmo,

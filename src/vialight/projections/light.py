@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vialight.arrays import TURN_RAD, Float32Array, FloatArray, Grid, centred
-from vialight.radon import FilterName, ramp_filter
+from vialight.radon import FilterName, filter_rays, ramp_filter
 from vialight.strips import StripGeometry, backproject_strips, project_strips
 
 
@@ -125,7 +125,7 @@ def filtered_projections(volume: Float32Array, light: Light, filter_name: Filter
     # A column of voxels in a strip is one voxel long for each; half, as light comes from both sides of the turn.
     scale = np.float32(geometry.voxel_mm**2 / geometry.spacing_mm / 2)
     matrix = ramp_filter(filter_name, geometry.samples, geometry.spacing_mm) * scale
-    return np.asarray(np.matmul(matrix, project_strips(volume, geometry)), dtype=np.float32)
+    return filter_rays(matrix, project_strips(volume, geometry))
 
 
 def _blur(projections: Float32Array, light: Light, sigma_mm: float) -> Float32Array:

@@ -8,74 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numba import njit, prange
 
-from vialight.arrays import Float32Array
-from vialight.projections.light import Light, collect, dose_of, filtered_projections
-from vialight.radon import ramp_filter
+from vialight.arrays import FAST_MATH, Float32Array
+from vialight.projections.goals import Goal, State, make_light, strips_of_use
+from vialight.projections.light import Light, dose_of, filtered_projections
 
 MethodName = Literal["object-space", "osmo", "gradient", "normalised"]
 
-VOID_LIMIT = 0.85
-"""Dose that a void may reach, where the part gets 1, by default."""
-
 CEILING = 0.3
 """Light that `object_space` allows, in that of the brightest ray of filtered backprojection, by default."""
-
-
-@dataclass(frozen=True)
-class State:
-    """Where a method stands after a pass.
-
-    Parameters
-    ----------
-    passes
-        Passes done.
-    model
-        What the method carries on: the target as modified so far, (y, x, z); for `object_space` also the one before,
-        (2, y, x, z); for `gradient`, the projections.
-    projections
-        (psi, s, z) non-negative.
-    dose
-        (y, x, z) that they make.
-    """
-
-    passes: int
-    model: Float32Array
-    projections: Float32Array
-    dose: Float32Array
-
-
-@dataclass(frozen=True)
-class Goal:
-    """What is wanted of the dose.
-
-    Parameters
-    ----------
-    inside
-        (y, x, z) float32: share of each voxel inside the part, 0 to 1; from 1/2 on a voxel is meant to cure.
-    reach
-        (y, x, 1): 1 where light reaches from all sides; what lies outside is not judged.
-    void_limit
-        Dose that a void may reach.
-    """
-
-    inside: Float32Array
-    reach: Float32Array
-    void_limit: float = VOID_LIMIT
-
-    def error_of(self, dose: Float32Array) -> Float32Array:
-        """Return by how much each voxel's dose is off: both ways inside, only upwards in the void."""
-        part = self.inside >= 0.5
-        off = np.where(part, dose - 1, np.maximum(dose - self.void_limit, 0))
-        return np.asarray(off * self.reach, dtype=np.float32)
-
-    def cost_of(self, dose: Float32Array) -> float:
-        """Return the sum of squares of `error_of`, in voxels."""
-        return float(np.square(self.error_of(dose), dtype=np.float64).sum())
 
 
 Method = Callable[[Goal, Light, State | None], Iterator[State]]
@@ -108,11 +53,12 @@ def normalised(
     bound_void
         Take the void's target as an upper bound: where its dose is lower, nothing is added.
     """
-    floor = np.float32((background if clip_level is None else clip_level) / (2 * np.pi))
+    floor = (background if clip_level is None else clip_level) / (2 * np.pi)
     first = np.where(goal.inside >= 0.5, 1, background).astype(np.float32) * goal.reach
     model, passes = (first, 0) if state is None else (state.model, state.passes)
     while True:
-        projections = np.maximum(filtered_projections(model, light), floor)
+        projections = filtered_projections(model, light)
+        make_light(projections, np.ones(light.geometry.samples, np.float32), floor)
         dose = dose_of(projections, light)
         passes += 1
         ratio = np.maximum(dose, 1e-6) / np.maximum(first, 1e-6)
@@ -137,38 +83,57 @@ def osmo(
     low, high
         Thresholds, as shares of the largest dose.
     """
-    part, useful = goal.inside >= 0.5, _strips_of_use(goal, light)
-    model, passes = (part.astype(np.float32), 0) if state is None else (state.model, state.passes)
-    _, scaled = _scaled_dose(model, light, useful)
+    useful = strips_of_use(goal, light)
+    model, passes = ((goal.inside >= 0.5).astype(np.float32), 0) if state is None else (state.model, state.passes)
+    _, dose = _clipped(model, light, useful)
     while True:
-        model = model + np.where(part, np.maximum(high - scaled, 0), 0).astype(np.float32)
-        _, scaled = _scaled_dose(model, light, useful)
-        model = model - np.where(part, 0, np.maximum(scaled - low, 0)).astype(np.float32) * goal.reach
-        projections, scaled = _scaled_dose(model, light, useful)
+        model = model.copy()
+        _raise_part(model, goal.inside, dose, np.float32(high), _largest(dose))
+        _, dose = _clipped(model, light, useful)
+        _lower_void(model, goal.inside, goal.reach, dose, np.float32(low), _largest(dose))
+        projections, dose = _clipped(model, light, useful)
         passes += 1
         # In units where the part's threshold is 1.
-        yield State(passes, model, projections / np.float32(high), scaled / np.float32(high))
+        scale = 1 / (np.float32(high) * _largest(dose))
+        yield State(passes, model, projections * scale, dose * scale)
 
 
-def _strips_of_use(goal: Goal, light: Light) -> Float32Array:
-    """Return (s, 1): 1 for strips that can light the part at some angle, 0 for those that only pass beside it.
-
-    Filtered projections have light there too, beside voids that a model has lowered.  It does no good, and what it does
-    at the rim, where nothing is judged, no method sees.
-    """
-    geometry = light.geometry
-    radius = np.hypot(geometry.x_mm, geometry.y_mm[:, None])[:, :, None]
-    farthest = float((radius * ((goal.inside > 0) & (goal.reach > 0))).max()) + geometry.voxel_mm
-    farthest += 2 * math.hypot(light.projector_blur_mm, light.diffusion_mm)
-    s_mm = geometry.first_s_mm + np.arange(geometry.samples) * geometry.spacing_mm
-    return np.asarray(np.abs(s_mm) <= farthest, dtype=np.float32)[:, None]
+def _clipped(model: Float32Array, light: Light, useful: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Return the model's filtered projections, clipped, and their dose."""
+    projections = filtered_projections(model, light)
+    make_light(projections, useful)
+    return projections, dose_of(projections, light)
 
 
-def _scaled_dose(model: Float32Array, light: Light, useful: Float32Array) -> tuple[Float32Array, Float32Array]:
-    projections: Float32Array = np.maximum(filtered_projections(model, light), 0) * useful
-    dose = dose_of(projections, light)
-    peak = np.float32(max(float(dose.max()), 1e-12))
-    return np.asarray(projections / peak, np.float32), np.asarray(dose / peak, np.float32)
+def _largest(dose: Float32Array) -> np.float32:
+    return np.float32(max(float(dose.max()), 1e-12))
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _raise_part(
+    model: Float32Array, inside: Float32Array, dose: Float32Array, level: np.float32, largest: np.float32
+) -> None:
+    """Raise a model where the part's dose, as a share of the largest, is below a level, by how much it is."""
+    zero, scale = np.float32(0), np.float32(1) / largest
+    for y in prange(model.shape[0]):
+        for x in range(model.shape[1]):
+            for z in range(model.shape[2]):
+                short = max(level - scale * dose[y, x, z], zero)
+                model[y, x, z] += short if inside[y, x, z] >= np.float32(0.5) else zero
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _lower_void(
+    model: Float32Array, inside: Float32Array, reach: Float32Array, dose: Float32Array, level: np.float32,
+    largest: np.float32,
+) -> None:  # fmt: skip
+    """Lower a model where the void's dose is above a level."""
+    zero, scale = np.float32(0), np.float32(1) / largest
+    for y in prange(model.shape[0]):
+        for x in range(model.shape[1]):
+            for z in range(model.shape[2]):
+                above = reach[y, x, 0] * max(scale * dose[y, x, z] - level, zero)
+                model[y, x, z] -= zero if inside[y, x, z] >= np.float32(0.5) else above
 
 
 def object_space(
@@ -201,15 +166,22 @@ def object_space(
     """
     start = goal.inside * goal.reach
     models, passes = (np.stack([start, start]), 0) if state is None else (state.model, state.passes)
-    step, useful = step / _gain(light), _strips_of_use(goal, light)
-    top = np.float32(np.inf if ceiling >= 1 else _ceiling(filtered_projections(start, light) * useful, ceiling))
+    step, useful = step / _gain(light), strips_of_use(goal, light)
+    top = np.inf if ceiling >= 1 else _ceiling(filtered_projections(start, light) * useful[:, None], ceiling)
     while True:
         latest, before = models
-        pushed = latest + np.float32(max(passes - 1, 0) / (passes + 2)) * (latest - before)
-        projections = np.asarray(np.clip(filtered_projections(pushed, light), 0, top) * useful, np.float32)
+        pushed = latest - before
+        pushed *= np.float32(max(passes - 1, 0) / (passes + 2))
+        pushed += latest
+        projections = filtered_projections(pushed, light)
+        make_light(projections, useful, 0, top)
         dose = dose_of(projections, light)
         passes += 1
-        models = np.stack([pushed - np.float32(step) * _blurred(goal.error_of(dose), light), latest])
+        change = _blurred(goal.error_of(dose), light)
+        change *= np.float32(step)
+        models = np.empty((2, *latest.shape), np.float32)
+        np.subtract(pushed, change, out=models[0])
+        models[1] = latest
         yield State(passes, models, projections, dose)
 
 
@@ -243,87 +215,3 @@ def _blurred(volume: Float32Array, light: Light) -> Float32Array:
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(volume, sigma_mm / light.geometry.voxel_mm, mode="constant"), np.float32)
-
-
-def gradient(goal: Goal, light: Light, state: State | None = None, *, steps: int = 10) -> Iterator[State]:
-    """Quasi-Newton descent (L-BFGS) on the squared threshold losses of `Goal`, projected on what light can be.
-
-    The losses are convex in the projections, which are bounded below by 0: it converges on every target to the best
-    that these losses allow.  It starts from clipped filtered projections.  Each step is the two-loop recursion
-    (Nocedal 1980) among the rays that are not held at 0 (Bertsekas 1982), halved until the loss falls.  The ramp filter
-    stands in for the inverse Hessian to begin with, which it nearly is.  Nothing but sums over arrays is needed, where
-    L-BFGS-B (Byrd et al. 1995) spends most of its time on its generalised Cauchy point.
-
-    Parameters
-    ----------
-    goal, light, state
-        As for every method.
-    steps
-        Quasi-Newton steps in a pass; the memory of curvature begins anew with each pass.
-    """
-    if state is None:
-        clipped = np.maximum(filtered_projections(goal.inside * goal.reach, light), 0)
-        now, passes = np.asarray(clipped * _strips_of_use(goal, light), np.float32), 0
-        dose = dose_of(now, light)
-    else:
-        now, passes, dose = state.projections, state.passes, state.dose
-    spacing_mm = light.geometry.spacing_mm
-    # Such that a first step is as long as one of `object_space`.
-    scale = np.float32(light.geometry.voxel_mm**2 / (4 * spacing_mm * light.step_rad))
-    ramp = ramp_filter("ram-lak", light.geometry.samples, spacing_mm) * scale
-    while True:
-        moves: list[tuple[Float32Array, Float32Array]] = []
-        for _ in range(steps):
-            slope = collect(2 * goal.error_of(dose), light)
-            if moves:
-                moves[-1] = (moves[-1][0], slope - moves[-1][1])
-                moves = [pair for pair in moves if _inner(*pair) > 0][-_MEMORY:]
-            free = (now > 0) | (slope < 0)
-            found = _lower(goal, light, now, dose, _quasi_newton(slope * free, moves, ramp) * free, slope)
-            if found is None:
-                break
-            moves.append((found[0] - now, slope))
-            now, dose = found
-        passes += 1
-        yield State(passes, now, now, dose)
-
-
-_MEMORY = 8
-_HALVINGS = 20
-_LEAST_FALL = 1e-4
-"""Pairs of moves remembered, step lengths tried, and what share of the fall that the slope promises is enough."""
-
-
-def _quasi_newton(
-    slope: Float32Array, moves: list[tuple[Float32Array, Float32Array]], ramp: Float32Array
-) -> Float32Array:
-    """Return minus the inverse Hessian, as the ramp and past moves and changes of slope tell it, times the slope."""
-    direction = -slope
-    shares = []
-    for move, change in reversed(moves):
-        shares.append(_inner(move, direction) / _inner(move, change))
-        direction = direction - np.float32(shares[-1]) * change
-    direction = np.asarray(np.matmul(ramp, direction), np.float32)
-    if moves:
-        direction *= np.float32(_inner(*moves[-1]) / _inner(moves[-1][1], np.matmul(ramp, moves[-1][1])))
-    for (move, change), share in zip(moves, reversed(shares), strict=True):
-        direction = direction + np.float32(share - _inner(change, direction) / _inner(move, change)) * move
-    return direction
-
-
-def _lower(
-    goal: Goal, light: Light, now: Float32Array, dose: Float32Array, direction: Float32Array, slope: Float32Array
-) -> tuple[Float32Array, Float32Array] | None:
-    """Return projections along a direction, clipped at 0, whose loss is enough lower, with their dose."""
-    cost, length = goal.cost_of(dose), np.float32(1)
-    for _ in range(_HALVINGS):
-        there = np.maximum(now + length * direction, 0)
-        dose_there = dose_of(there, light)
-        if goal.cost_of(dose_there) < cost + _LEAST_FALL * _inner(slope, there - now):
-            return there, dose_there
-        length *= np.float32(0.5)
-    return None
-
-
-def _inner(first: Float32Array, second: Float32Array) -> float:
-    return float(np.einsum("asz,asz->", first, second, dtype=np.float64))
