@@ -1,8 +1,8 @@
 """Stage: what finished patterns do, whoever computed them.
 
 The judge of every method: it knows only grey levels, angles and the rig.  Pixels are square and count by the share
-that each has in what a ray stands for, patterns are held over their angle, and the dose of a voxel is the mean over
-sub-voxels.
+that each has in what a ray stands for, patterns are held over their angle, and the dose of a voxel is the mean over its
+square of rays a third of it apart.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from vialight.strips import StripGeometry, backproject_strips
 from vialight.viewing import pixel_rays, pixels_of, ray_tilt
 
 SUBVOXELS = 3
-"""Along x and along y, and stage angles for each pattern."""
+"""Rays across a voxel, and stage angles for each pattern."""
 
-_SLICES_A_BLOCK = 48
+_RAYS_A_BLOCK = 32_000_000
+"""Whose light is held at once: 128 MB, and as much again while it is sorted by its way."""
 
 
 def dose_of_patterns(
@@ -40,7 +41,7 @@ def dose_of_patterns(
     grid
         Voxels wanted.
     subvoxels
-        Along x and y.
+        Rays across a voxel, and stage angles for each pattern: 1 to 3.
     climbing
         Follow the rays' climb in z; else light stays in the slice in which it passes the axis.
 
@@ -60,32 +61,35 @@ def dose_of_patterns(
     # On both sides of the angle at which a pattern is due: without a vial, all light would change between two at once.
     parts = np.arange(len(patterns.angles_rad) * subvoxels, dtype=np.float64) - (subvoxels - 1) / 2
     psi = patterns.angles_rad[0] - np.radians(rig.need_projector().azimuth_deg) + parts * held
-    fine = Grid((grid.shape[0], grid.shape[1] * subvoxels, grid.shape[2] * subvoxels), spacing, grid.centre_z_mm)
     dose = np.empty(grid.shape, np.float32)
     # One slice more than light climbs: it tells what a slice spans of the image.
     largest_climb = 0.0 if tilt is None or not climbing else float(tilt.max()) * radius * np.abs(grid.z_mm).max()
     margin = int(np.ceil(largest_climb / grid.voxel_mm)) + 1
     per_level = _dose_rate_per_level(patterns, rig)
-    for start in range(0, grid.shape[0], _SLICES_A_BLOCK):
-        stop = min(start + _SLICES_A_BLOCK, grid.shape[0])
+    slices = max(_RAYS_A_BLOCK // (len(psi) * len(s_mm)) - 2 * margin, 1)
+    for start in range(0, grid.shape[0], slices):
+        stop = min(start + slices, grid.shape[0])
         z_mm = grid.z_mm[0] + np.arange(start - margin, stop + margin, dtype=np.float64) * grid.voxel_mm
         geometry = StripGeometry(
-            psi, float(s_mm[0]), spacing, len(s_mm), fine.x_mm, fine.y_mm, rig.resin.absorption_per_mm or 0.0, tilt,
+            psi, float(s_mm[0]), spacing, len(s_mm), grid.x_mm, grid.y_mm, rig.resin.absorption_per_mm or 0.0, tilt,
             z_mm if climbing and tilt is not None else None,
         )  # fmt: skip
         lit = backproject_strips(_light_of_patterns(patterns, rig, per_level, psi, s_mm, z_mm), geometry)
-        lit = lit[:, :, margin : lit.shape[2] - margin]
-        mean = lit.reshape(grid.shape[1], subvoxels, grid.shape[2], subvoxels, stop - start).mean(axis=(1, 3))
-        dose[start:stop] = mean.transpose(2, 0, 1) * np.float32(held)
+        dose[start:stop] = lit[:, :, margin : lit.shape[2] - margin].transpose(2, 0, 1) * np.float32(held)
     return dose
 
 
 def _dose_rate_per_level(patterns: Patterns, rig: Rig) -> Float32Array:
-    """Return, for every pixel of the projector, the dose rate that one level of it brings into the resin."""
-    projector = rig.need_projector()
+    """Return, for every pixel of the patterns, the dose rate that one level of it brings into the resin."""
+    projector, (_, rows, columns) = rig.need_projector(), patterns.levels.shape
+    first = patterns.first_row, patterns.first_column
+    # Pixels that this projector has not, another than the patterns were made for, stay dark.
+    there = max(min(rows, projector.rows - first[0]), 0), max(min(columns, projector.columns - first[1]), 0)
     absorption = rig.resin.absorption_per_mm or 0.0
-    rays = pixel_rays(projector.columns, projector.rows, projector.as_camera(), rig.writing_optics(), absorption)
-    return (rays.delivery * patterns.dose_rate_per_level).astype(np.float32)
+    rays = pixel_rays(there[1], there[0], projector.as_camera(), rig.writing_optics(), absorption, first=first)
+    per_level = np.zeros((rows, columns), np.float32)
+    per_level[: there[0], : there[1]] = rays.delivery * patterns.dose_rate_per_level
+    return per_level
 
 
 def _light_of_patterns(
@@ -98,24 +102,23 @@ def _light_of_patterns(
     projector = rig.need_projector()
     column, row, direction = pixels_of(s_mm[:, None], z_mm, projector.as_camera(), rig.writing_optics())
     out = np.zeros((len(psi_rad), len(s_mm), len(z_mm)), np.float32)
-    step, turned = patterns.step_rad, psi_rad + np.radians(projector.azimuth_deg)
+    turned = psi_rad + np.radians(projector.azimuth_deg) - patterns.angles_rad[0]
     _look_up(
-        patterns.levels, patterns.first_row, patterns.first_column, row, _widths(row, 1), column, _widths(column, 0),
-        direction / step, (turned - patterns.angles_rad[0]) / step, per_level, out,
+        np.ascontiguousarray(patterns.levels.transpose(1, 2, 0)), row - patterns.first_row, _widths(row, 1),
+        column - patterns.first_column, _widths(column, 0),
+        np.nan_to_num(direction) / patterns.step_rad % len(patterns.levels), turned / patterns.step_rad, per_level, out,
     )  # fmt: skip
     return out
 
 
 def _widths(position: FloatArray, axis: int) -> FloatArray:
-    """Return how many pixels each of two or more samples spans."""
-    return np.abs(np.asarray(np.gradient(position, axis=axis), dtype=np.float64))
+    """Return how many pixels each of two or more samples spans, next to none where they lie on each other."""
+    return np.maximum(np.abs(np.asarray(np.gradient(position, axis=axis), dtype=np.float64)), 1e-6)
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def _look_up(
     levels: NDArray[np.uint8],
-    first_row: int,
-    first_column: int,
     row: FloatArray,
     height: FloatArray,
     column: FloatArray,
@@ -125,27 +128,31 @@ def _look_up(
     per_level: Float32Array,
     out: Float32Array,
 ) -> None:
-    """Average, for every ray, the pixels that light what it stands for, of the pattern that is then shown."""
-    count, rows, columns = levels.shape
-    tiny = 1e-6
-    for p in prange(len(turned)):
-        for i in range(out.shape[1]):
-            for z in range(out.shape[2]):
-                if not np.isfinite(row[i, z] + column[i, z] + direction[i, z] + height[i, z] + width[i, z]):
-                    continue
-                half_high, half_wide = max(height[i, z], tiny) / 2, max(width[i, z], tiny) / 2
-                top, bottom = row[i, z] + 0.5 - half_high, row[i, z] + 0.5 + half_high
-                left, right = column[i, z] + 0.5 - half_wide, column[i, z] + 0.5 + half_wide
-                k = int(np.floor(turned[p] - direction[i, z] + 0.5)) % count
-                total = np.float32(0)
-                for r in range(max(int(np.floor(top)), first_row), min(int(np.ceil(bottom)), first_row + rows)):
-                    high = min(bottom, r + 1.0) - max(top, r)
-                    for c in range(
-                        max(int(np.floor(left)), first_column), min(int(np.ceil(right)), first_column + columns)
-                    ):
-                        share = np.float32(high * (min(right, c + 1.0) - max(left, c)))
-                        total += share * per_level[r, c] * levels[k, r - first_row, c - first_column]
-                out[p, i, z] = total / np.float32(4 * half_high * half_wide)
+    """Average, for every ray, the pixels that light what it stands for, of the pattern that is then shown.
+
+    Levels are (row, column, pattern): what a ray stands for is found once, and summed in all patterns.  Both
+    directions, 0 to the count of patterns, and turns, -1/2 to that less 1/2, are in patterns.
+    """
+    rows, columns, count = levels.shape
+    rays, depth = row.shape
+    for i in prange(rays):
+        light = np.zeros((depth, count), np.float32)
+        for z in range(depth):
+            top, bottom = row[i, z] + 0.5 - height[i, z] / 2, row[i, z] + 0.5 + height[i, z] / 2
+            left, right = column[i, z] + 0.5 - width[i, z] / 2, column[i, z] + 0.5 + width[i, z] / 2
+            if not np.isfinite(top + bottom + left + right):
+                continue
+            for r in range(max(int(np.floor(top)), 0), min(int(np.ceil(bottom)), rows)):
+                high = min(bottom, r + 1.0) - max(top, r)
+                for c in range(max(int(np.floor(left)), 0), min(int(np.ceil(right)), columns)):
+                    area = high * (min(right, c + 1.0) - max(left, c))
+                    share = np.float32(area / (height[i, z] * width[i, z])) * per_level[r, c]
+                    for k in range(count):
+                        light[z, k] += share * np.float32(levels[r, c, k])
+        for p in range(len(turned)):
+            for z in range(depth):
+                k = int(np.floor(turned[p] - direction[i, z] + 0.5))
+                out[p, i, z] = light[z, k + count if k < 0 else k]
 
 
 @dataclass(frozen=True)

@@ -125,9 +125,24 @@ class PixelRays(NamedTuple):
     """Light per area in the resin, closest to the axis, per light per area in air in the plane of the axis."""
 
 
+def pixels_in_reach(
+    columns: int, rows: int, camera: Camera, optics: Optics | None, radius_mm: float, low_mm: float, high_mm: float
+) -> tuple[slice, slice]:
+    """Return rows and columns of an image that hold all rays within a radius and between two mid-heights."""
+    edge = radius_mm if optics is None else min(radius_mm, EDGE_MARGIN * optics.field_radius_mm)
+    # Seen height changes from the axis to the edge all one way.
+    column, row, _ = pixels_of(np.array([-edge, 0.0, edge]), np.array([[low_mm], [high_mm]]), camera, optics)
+    left, right = int(np.floor(column.min())) - 1, int(np.ceil(column.max())) + 2
+    top, bottom = int(np.floor(row.min())) - 1, int(np.ceil(row.max())) + 2
+    return slice(min(max(top, 0), rows), max(min(bottom, rows), 0)), slice(
+        min(max(left, 0), columns), max(min(right, columns), 0)
+    )
+
+
 def pixel_rays(
-    columns: int, rows: int, camera: Camera, optics: Optics | None, absorption_per_mm: float = 0.0
-) -> PixelRays:
+    columns: int, rows: int, camera: Camera, optics: Optics | None, absorption_per_mm: float = 0.0,
+    *, first: tuple[int, int] = (0, 0),
+) -> PixelRays:  # fmt: skip
     """Return where the ray of every pixel runs in the resin and how much of its light arrives there.
 
     The vial is a lens: it narrows what a pixel lights by the ratio of areas ``dx_v dz_mid / (dx_c dz_c)``.  Reflection
@@ -136,14 +151,16 @@ def pixel_rays(
     Parameters
     ----------
     columns, rows
-        Of the image.
+        Of the image, or of a part of it.
     camera, optics
         As the rig has them; no optics for light without a vial: all of it is delivered.
     absorption_per_mm
         Napierian, of the resin.
+    first
+        Row and column of the first pixel, of a part of the image.
     """
-    x_c = (np.arange(columns, dtype=np.float64) - camera.axis_column) * camera.pixel_mm
-    z_c = (camera.optical_row - np.arange(rows, dtype=np.float64))[:, None] * camera.pixel_mm
+    x_c = (first[1] + np.arange(columns, dtype=np.float64) - camera.axis_column) * camera.pixel_mm
+    z_c = (camera.optical_row - first[0] - np.arange(rows, dtype=np.float64))[:, None] * camera.pixel_mm
     if optics is None:
         x_c, z_c = np.tile(x_c, (rows, 1)), np.tile(z_c, (1, columns))
         pixel, one = np.full(x_c.shape, camera.pixel_mm), np.ones(x_c.shape)

@@ -12,7 +12,7 @@ from vialight.config import Rig
 from vialight.errors import InputError
 from vialight.plan import Patterns
 from vialight.projections.light import Light
-from vialight.viewing import PixelRays, pixel_rays
+from vialight.viewing import PixelRays, pixel_rays, pixels_in_reach
 
 LEVELS = 255
 
@@ -44,28 +44,22 @@ def make_patterns(
     InputError
         The rig lacks what writing needs, or all projections are dark.
     """
-    projector, optics = rig.need_projector(), rig.writing_optics()
+    projector = rig.need_projector()
     sinogram = full_turn(projections) if light.geometry.from_both_sides else projections
     count = count or len(sinogram)
-    rays = pixel_rays(
-        projector.columns, projector.rows, projector.as_camera(), optics, rig.resin.absorption_per_mm or 0.0
-    )
-    rows, columns = _part_lit(rays, light, grid)
+    rows, columns, rays = _part_lit(light, grid, rig)
     angles = np.arange(count, dtype=np.float64) * (TURN_RAD / count)
-    part = (slice(rows.start, rows.stop), slice(columns.start, columns.stop))
     irradiance = np.zeros((count, rows.stop - rows.start, columns.stop - columns.start), np.float32)
     strips = _Footprints(
-        (rays.virtual_x_mm[part] - light.geometry.first_s_mm) / light.geometry.spacing_mm,
-        rays.width_mm[part] / light.geometry.spacing_mm,
+        (rays.virtual_x_mm - light.geometry.first_s_mm) / light.geometry.spacing_mm,
+        rays.width_mm / light.geometry.spacing_mm,
     )
-    slices = _Footprints(
-        (rays.mid_height_mm[part] - grid.z_mm[0]) / grid.voxel_mm, rays.height_mm[part] / grid.voxel_mm
-    )
+    slices = _Footprints((rays.mid_height_mm - grid.z_mm[0]) / grid.voxel_mm, rays.height_mm / grid.voxel_mm)
     turned = angles - np.radians(projector.azimuth_deg) - light.geometry.psi_rad[0]
     _read(
-        np.ascontiguousarray(sinogram), turned, rays.direction_rad[part],
+        np.ascontiguousarray(sinogram), turned, rays.direction_rad,
         strips.start, strips.stop, slices.start, slices.stop,
-        np.where(rays.delivery[part] > 0, 1 / np.maximum(rays.delivery[part], 1e-9), 0).astype(np.float32), irradiance,
+        np.where(rays.delivery > 0, 1 / np.maximum(rays.delivery, 1e-9), 0).astype(np.float32), irradiance,
     )  # fmt: skip
     brightest = float(irradiance.max())
     if brightest <= 0:
@@ -96,15 +90,33 @@ class _Footprints(NamedTuple):
         return self.middle + self.width / 2 + 0.5
 
 
-def _part_lit(rays: PixelRays, light: Light, grid: Grid) -> tuple[slice, slice]:
-    """Return rows and columns of the image whose rays meet the projections."""
-    half_width = -light.geometry.first_s_mm + (light.geometry.spacing_mm + rays.width_mm) / 2
-    low, high = (grid.z_mm[end] + sign * (grid.voxel_mm + rays.height_mm) / 2 for end, sign in ((0, -1), (-1, 1)))
-    lit = (np.abs(rays.virtual_x_mm) < half_width) & (rays.mid_height_mm > low) & (rays.mid_height_mm < high)
+def _part_lit(light: Light, grid: Grid, rig: Rig) -> tuple[slice, slice, PixelRays]:
+    """Return rows and columns of the image whose rays meet the projections, with their rays."""
+    projector, optics = rig.need_projector(), rig.writing_optics()
+    camera, size = projector.as_camera(), (projector.columns, projector.rows)
+    reach = -light.geometry.first_s_mm + light.geometry.spacing_mm / 2
+    ends = grid.z_mm[0] - grid.voxel_mm / 2, grid.z_mm[-1] + grid.voxel_mm / 2
+    near = pixels_in_reach(*size, camera, optics, reach + camera.pixel_mm, ends[0] - camera.pixel_mm,
+                           ends[1] + camera.pixel_mm)  # fmt: skip
+    first = near[0].start, near[1].start
+    rays = pixel_rays(
+        near[1].stop - first[1], near[0].stop - first[0], camera, optics, rig.resin.absorption_per_mm or 0.0,
+        first=first,
+    )  # fmt: skip
+    lit = (
+        (np.abs(rays.virtual_x_mm) < reach + rays.width_mm / 2)
+        & (rays.mid_height_mm > ends[0] - rays.height_mm / 2)
+        & (rays.mid_height_mm < ends[1] + rays.height_mm / 2)
+    )
     if not lit.any():
         raise InputError("[projector]", "none of its pixels reaches the part", accepted="a projector that sees it")
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    part = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    return (
+        slice(first[0] + part[0].start, first[0] + part[0].stop),
+        slice(first[1] + part[1].start, first[1] + part[1].stop),
+        PixelRays(*(values[part] for values in rays)),
+    )
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
