@@ -1,9 +1,10 @@
 """Compute light patterns by vialight and by other packages, judge all by one scorer, and print tables.
 
 Usage: ``python benchmarks/planning.py [--short] [--markdown docs/benchmarks-planning.md] [--peers FOLDER]
-[--peer-python PYTHON] [--only-peers]``.  The other packages may live in an environment of their own (see
-`planning_peers`), whose interpreter is PYTHON; one that is not there gets rows that say so.  They take an hour, so what
-they made is kept in FOLDER, and read from there the next time.  `--only-peers` fills FOLDER and judges nothing.
+[--peer-python PYTHON] [--only-peers | --stored-only]``.  The other packages may live in an environment of their own
+(see `planning_peers`), whose interpreter is PYTHON; one that is not there gets rows that say so.  They take an hour, so
+what they made is kept in FOLDER, and read from there the next time.  `--only-peers` fills FOLDER and judges nothing;
+`--stored-only` runs none of them.
 """
 
 from __future__ import annotations
@@ -97,6 +98,7 @@ class Peers:
 
     python: str
     folder: Path
+    stored_only: bool = False
 
     @cached_property
     def _here(self) -> dict[str, Any]:
@@ -117,7 +119,7 @@ class Peers:
         made = self.folder / f"{part.name}.{part.digest}.{name}.npz"
         if made.exists():
             return made
-        if not self.can_run(name):
+        if self.stored_only or not self.can_run(name):
             return None
         case = self.folder / f"{part.name}.{part.digest}.case.npz"
         np.savez(
@@ -403,7 +405,8 @@ def report(short: bool, peers: Peers) -> str:
         print("\n\n".join(sections[-4:]), file=sys.stderr, flush=True)
     assert first is not None
     large_s = None if short else seconds_for_large(rounds)
-    command = shlex.join(["python", "benchmarks/planning.py", *sys.argv[1:]])
+    # Where things lie on this machine is of no use elsewhere.
+    command = shlex.join(["python", "benchmarks/planning.py", *(_shown(word) for word in sys.argv[1:])])
     sections = [
         "# Benchmarks of planning",
         f"Made by `{command}` on {time.strftime('%Y-%m-%d', time.gmtime())}. {host}",
@@ -415,6 +418,11 @@ def report(short: bool, peers: Peers) -> str:
         REMARKS.rstrip(),
     ]
     return "\n\n".join(sections) + "\n"
+
+
+def _shown(word: str) -> str:
+    path = Path(word)
+    return path.name if path.is_absolute() else word
 
 
 def told_of_peers(others: dict[str, Result | None]) -> list[str]:
@@ -433,10 +441,11 @@ def main() -> None:
     parser.add_argument("--peers", type=Path, help="where to keep what other packages made")
     parser.add_argument("--peer-python", default=sys.executable, help="interpreter that has the other packages")
     parser.add_argument("--only-peers", action="store_true", help="let the other packages run, and judge nothing")
+    parser.add_argument("--stored-only", action="store_true", help="judge what the other packages have made before")
     options = parser.parse_args()
     _keep_to_cores()
     with tempfile.TemporaryDirectory() as scratch:
-        peers = Peers(options.peer_python, options.peers or Path(scratch))
+        peers = Peers(options.peer_python, options.peers or Path(scratch), options.stored_only)
         peers.folder.mkdir(parents=True, exist_ok=True)
         if options.only_peers:
             for part, name in itertools.product(list(parts(options.short, peers.bunny)), PACKAGES):

@@ -180,7 +180,7 @@ def test_what_lies_outside_the_strips_is_dark() -> None:
 def test_the_dose_of_a_wide_voxel_is_the_mean_over_what_it_is_made_of(
     tilt: FloatArray | None, exactness: float
 ) -> None:
-    """Voxels three strips wide against nine as wide as one: the same, but for the 0.3 % that light spreads within them."""
+    """Voxels three strips wide against nine as wide as one: alike, but for the 0.3 % that light spreads in them."""
     rng = np.random.default_rng(3)
     psi = rng.uniform(0, 7, 9)
     fine, wide = (
