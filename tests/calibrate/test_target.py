@@ -54,10 +54,9 @@ def test_points_are_found_to_two_hundredths_of_a_pixel() -> None:
     assert (np.rint(z / 1.5) - seen.up == np.rint(z / 1.5)[0] - seen.up[0]).all()
 
 
-@pytest.mark.parametrize("kind", ["dots", "chessboard"])
-def test_a_rocked_target_in_air_tells_pixel_optical_row_and_axis_wherever_it_is_held(kind: Any, tmp_path: Path) -> None:
+def test_a_rocked_target_in_air_tells_pixel_optical_row_and_axis_wherever_it_is_held(tmp_path: Path) -> None:
     """It leans, and lies 0.8 mm behind the axis, by which a single picture would be 0.4 % off."""
-    target = Target(kind, 1.5, depth_mm=0.8, yaw_deg=3.0, pitch_deg=-2.0, roll_deg=2.0)
+    target = Target("dots", 1.5, depth_mm=0.8, yaw_deg=3.0, pitch_deg=-2.0, roll_deg=2.0)
     result = scaled(tmp_path, target, turned_deg=ROCKED_DEG)
     for key, true, fine in (
         ("pixel_mm", 0.155, 5e-4 * 0.155),
@@ -94,20 +93,17 @@ def test_one_picture_in_air_leaves_the_optical_row_alone_and_says_what_is_taken_
     notes = " ".join(result["notes"])
     assert "optical_row is left alone" in notes
     assert "taken on trust" in notes
+    assert "distorts" not in notes
 
 
-@pytest.mark.parametrize("columns", [0.8, -0.5])
-def test_a_lens_that_distorts_is_measured_and_warned_of(columns: float, tmp_path: Path) -> None:
-    result = scaled(tmp_path, Target("dots", 1.5), distortion=columns)
+def test_a_lens_that_distorts_is_measured_and_warned_of(tmp_path: Path) -> None:
+    columns = 0.8
+    result = scaled(tmp_path, Target("chessboard", 1.5), distortion=columns)
     details = result["details"]
     assert details["distortion_columns"] == pytest.approx(columns, abs=max(0.05, 3 * details["distortion_std_columns"]))
     assert any("distorts" in note for note in result["notes"])
     value, std = found(result)["pixel_mm"]  # in the middle of the image
     assert abs(value - 0.155) < 3 * std
-
-
-def test_a_straight_lens_is_not_warned_of(tmp_path: Path) -> None:
-    assert not any("distorts" in note for note in scaled(tmp_path, Target("dots", 1.5))["notes"])
 
 
 REFUSED: dict[str, tuple[Target, dict[str, Any], str]] = {

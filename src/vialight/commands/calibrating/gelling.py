@@ -20,7 +20,7 @@ from vialight.store import open_frames, read_plan, read_volume
 
 FEWEST = 50
 """Voxels within what gelled while there was light."""
-_MOST = 150
+_MOST = 100
 _PIECES = 16
 """Of the print, whose medians tell how well that of the whole is known."""
 _WITHIN_MM = 0.6
