@@ -37,13 +37,13 @@ def gel_doses_png(gel_time_s: FloatArray, dose_mj_per_cm2: FloatArray, critical_
     with style():
         figure = new_figure(7.6, 3.6)
         over, histogram = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))
-        over.plot(gel_time_s, dose_mj_per_cm2, ".", color="#18348f", markersize=3)
+        over.plot(gel_time_s, dose_mj_per_cm2, ".", color="#18348f", markersize=5)
         histogram.hist(dose_mj_per_cm2, bins=40, orientation="horizontal", color="#18348f", alpha=0.8)
         for axis in (over, histogram):
             axis.axhline(critical_mj_per_cm2, color="#c0501a", linewidth=1, label=f"median {critical_mj_per_cm2:.4g}")
             axis.grid(linewidth=0.3)
         over.set(xlabel="gelled after, s", ylabel="dose until then, mJ/cm²")
-        over.set_ylim(bottom=0)
+        over.set_ylim(0, 1.25 * float(dose_mj_per_cm2.max()))
         over.legend(frameon=False)
         histogram.set_xlabel("places")
         return png(figure)

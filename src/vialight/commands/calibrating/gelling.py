@@ -181,7 +181,7 @@ def gelling_findings(found: Sequence[GelDoses], runs: Sequence[Path]) -> Finding
     """Return what runs say of their resin."""
     critical, std, lag_s = critical_dose(found)
     notes = [
-        f"{run.name}: places gelled at doses that differ by {one.spread_mj_per_cm2 / one.critical_mj_per_cm2:.0%} (one "
+        f"{run.name}: places gelled at doses that differ by {one.spread_mj_per_cm2 / one.critical_mj_per_cm2:.1%} (one "
         "standard deviation, robust)"
         + (f", seen {one.delay_s:.1f} ± {one.delay_std_s:.1f} s late, which is allowed for." if one.delay_s else ".")
         for one, run in zip(found, runs, strict=True)
