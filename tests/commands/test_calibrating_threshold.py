@@ -107,13 +107,16 @@ def test_conditions_are_stored_and_thresholds_follow_them(folder: Path, tmp_path
         reconstruct_recording(folder / "small.h5", tmp_path / "bright.toml", tmp_path / "none", settings=coarse)
 
 
-def test_what_is_refused_is_shown(folder: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("told", ["two circles", "no circle"])
+def test_a_profile_with_two_circles_or_none_is_refused_and_shown(told: str, folder: Path, tmp_path: Path) -> None:
     heights = height_map(1.0, (2.0, 2.0), size=160)
     heights[90:, 90:] = height_map(1.2, (1.6, 1.6), size=70)
-    np.save(tmp_path / "two.npy", heights)
-    with pytest.raises(InputError, match=r"two circles.*new.refused.png"):
+    if told == "no circle":
+        heights = np.where(np.abs(np.mgrid[:160, :160] - 80).max(axis=0) < 20, 10.0, 0.0)
+    np.save(tmp_path / "profile.npy", heights)
+    with pytest.raises(InputError, match=rf"{told}.*new.refused.png"):
         calibrate_threshold(
-            [Standard(folder / "small.h5", tmp_path / "two.npy")], folder / "rig.toml", tmp_path / "new.toml",
+            [Standard(folder / "small.h5", tmp_path / "profile.npy")], folder / "rig.toml", tmp_path / "new.toml",
             options=StandardOptions(PIXEL_MM),
         )  # fmt: skip
     assert (tmp_path / "new.refused.png").read_bytes().startswith(b"\x89PNG")
@@ -205,13 +208,17 @@ def test_a_scan_in_place_of_a_profile_gives_the_threshold_and_a_picture(folder: 
     assert (tmp_path / "new.html").read_text().count("<img") == 1
 
 
+def _square(x: Any, y: Any, z: Any) -> Any:
+    return np.maximum(np.maximum(np.abs(x), np.abs(y)) - 1.7, np.abs(z) - 1.2)
+
+
 def _frames(folder: Path) -> tuple[Any, Any, Any]:
     with open_frames(folder / "small.h5") as frames:
         return frames.read(slice(None)), frames.angles_rad, frames.dark()
 
 
 @pytest.mark.usefixtures("as_placed")
-@pytest.mark.parametrize("case", ["saturated", "half a turn", "nothing cured", "another scan"])
+@pytest.mark.parametrize("case", ["saturated", "half a turn", "nothing cured", "no cylinder", "another scan"])
 def test_recordings_that_cannot_be_used_are_refused_with_a_picture(case: str, folder: Path, tmp_path: Path) -> None:
     counts, angles, dark = _frames(folder)
     known, told = folder / "small.npy", case
@@ -221,11 +228,22 @@ def test_recordings_that_cannot_be_used_are_refused_with_a_picture(case: str, fo
         counts, angles, told = counts[:90], angles[:90], r"no frames for 18\d"
     elif case == "nothing cured":
         counts, told = np.random.default_rng(0).poisson(dark, counts.shape).astype(np.uint16), "nothing has cured"
-    else:
+    elif case == "another scan":
         write_stl(tmp_path / "scan.stl", cylinder_mesh(0.6, 6.0))
         known, told = tmp_path / "scan.stl", "of its area"
-    write_frames(tmp_path / "frames.h5", counts, angles, dark=np.rint(dark)[None].astype(np.uint16))
-    with pytest.raises(InputError, match=rf"{told}.*new\.refused\.png"):
+    if case == "no cylinder":
+        told = "no circle|square"
+        record(
+            tmp_path / "frames.h5",
+            _square,
+            Grid((32, 48, 48), 0.1),
+            load_rig(folder / "rig.toml"),
+            (30, 176),
+            frames=90,
+        )
+    else:
+        write_frames(tmp_path / "frames.h5", counts, angles, dark=np.rint(dark)[None].astype(np.uint16))
+    with pytest.raises(InputError, match=rf"({told}).*new\.refused\.png"):
         calibrate_threshold(
             [Standard(tmp_path / "frames.h5", known)], folder / "rig.toml", tmp_path / "new.toml", options=COARSE
         )
