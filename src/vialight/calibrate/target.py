@@ -13,12 +13,24 @@ import numpy as np
 
 from vialight.arrays import BoolArray, FloatArray, IntArray
 from vialight.calibrate.grids import Bend, GridPoints
-from vialight.config import Camera, Optics
+from vialight.calibrate.target_places import (
+    COLUMN,
+    DEPTH,
+    DISTANCE,
+    DISTORTION,
+    INDEX,
+    PITCH,
+    PIXEL,
+    RIGHT,
+    ROLL,
+    ROW,
+    UP,
+    YAW,
+    Known,
+    places_on_target,
+    slopes_on_target,
+)  # fmt: skip
 from vialight.errors import InputError
-from vialight.refraction import camera_to_virtual
-
-PIXEL, ROW, COLUMN, DISTORTION, DISTANCE, INDEX, ROLL, RIGHT, UP, DEPTH, YAW, PITCH = range(12)
-"""Of the vector that is fitted: logarithms of pixel, distance and index over the rig's; rows, columns; rad; mm."""
 
 MOST_TILT_DEG = 15.0
 MOST_LEFT_OVER = 0.3
@@ -29,10 +41,10 @@ _EDGE = 0.9
 _WIDE = {ROW: 20.0, COLUMN: 20.0, DISTORTION: 5.0, ROLL: 1.0, YAW: 0.3, PITCH: 0.3, PIXEL: 1.0, RIGHT: 1e3, UP: 1e3}
 """Standard deviations before anything is seen: so wide that they hardly count, yet keep in place what is not seen."""
 _PASSES, _STEPS = 3, 4
+_FAR = 1e3
+"""Pixels, by which what is not met counts as off."""
 _UNEVEN = 0.01
 """Pixels by which the shape of points misleads, in all views alike."""
-_SMALL = 0.1
-"""Pixels, over which slopes are taken."""
 
 
 @dataclass(frozen=True)
@@ -57,33 +69,6 @@ class TargetView:
         near = np.abs(points.columns - np.median(points.columns)) < 0.25 * np.ptp(points.columns)
         design = np.stack([points.across, points.up, np.ones(len(points.up))], axis=1)[near]
         return float(np.linalg.lstsq(design, points.columns[near], rcond=None)[0][0])
-
-
-@dataclass(frozen=True)
-class Known:
-    """What is known before the target is looked at.
-
-    Parameters
-    ----------
-    pitch_mm
-        From point to point.
-    camera, optics
-        As the rig has them; no optics for a target in air.
-    image_shape
-        (rows, columns).
-    depth_std_mm
-        Standard uncertainty of the target's plane being that of the axis.
-    distance_std, index_std
-        Of the camera's distance and the resin's index, as shares.
-    """
-
-    pitch_mm: float
-    camera: Camera
-    optics: Optics | None
-    image_shape: tuple[int, int]
-    depth_std_mm: float = 0.3
-    distance_std: float = 0.05
-    index_std: float = 0.003
 
 
 @dataclass(frozen=True)
@@ -149,6 +134,7 @@ def fit_target(
 
     Examples
     --------
+    >>> from vialight.config import Camera
     >>> up, across = (values.ravel() for values in np.mgrid[-5:6, -6:7])
     >>> camera = Camera(distance_mm=190.0, pixel_mm=0.15, axis_column=80.0, optical_row=60.0)
     >>> points = GridPoints(80 + across / 0.155, 60 - up / 0.155, across, up)
@@ -182,77 +168,12 @@ def bend_of(fit: TargetFit, view: TargetView) -> Bend:
         return places_on_target(fit.values, columns, rows, np.broadcast_to(turned, columns.shape), fit.known)
 
     def bend(columns: FloatArray, rows: FloatArray, right: FloatArray, down: FloatArray) -> FloatArray:
-        here = met(columns, rows)
-        slopes = np.stack([met(columns + _SMALL, rows) - here, met(columns, rows + _SMALL) - here], axis=-1) / _SMALL
-        uneven = met(columns + right, rows + down) + met(columns - right, rows - down) - 2 * here
-        bent = np.linalg.pinv(np.nan_to_num(slopes)) @ uneven[..., None]
+        uneven = met(columns + right, rows + down) + met(columns - right, rows - down) - 2 * met(columns, rows)
+        slopes = slopes_on_target(fit.values, columns, rows, np.broadcast_to(turned, columns.shape), fit.known)
+        bent = np.linalg.pinv(slopes) @ uneven[..., None]
         return np.asarray(np.nan_to_num(-bent[..., 0] / 2))
 
     return bend
-
-
-def places_on_target(
-    values: FloatArray, columns: FloatArray, rows: FloatArray, turned_rad: FloatArray, known: Known
-) -> FloatArray:
-    """Return (..., 2) where rays of pixels meet a target, to the right and up from its first point, mm.
-
-    Parameters
-    ----------
-    values
-        See `PIXEL` and those that follow.
-    columns, rows
-        As seen.
-    turned_rad
-        Of the stage since the view that faces the camera.
-    known
-        What `values` is relative to.
-    """
-    origin, course = _rays(values, columns, rows, known)
-    cosine, sine = np.cos(turned_rad), np.sin(turned_rad)
-    origin, course = (
-        np.stack(
-            [cosine * ray[..., 0] + sine * ray[..., 1], cosine * ray[..., 1] - sine * ray[..., 0], ray[..., 2]], -1
-        )
-        for ray in (origin, course)
-    )
-    axes = _turn(values[YAW], 2) @ _turn(values[PITCH], 0) @ _turn(values[ROLL], 1)
-    right, normal, up = axes.T
-    along = (values[DEPTH] - origin @ normal) / (course @ normal)
-    met = origin + along[..., None] * course
-    return np.stack([met @ right - values[RIGHT], met @ up - values[UP]], axis=-1)
-
-
-def _rays(values: FloatArray, columns: FloatArray, rows: FloatArray, known: Known) -> tuple[FloatArray, FloatArray]:
-    """Return a point and the direction of each pixel's ray where the target is."""
-    camera, width = known.camera, known.image_shape[1]
-    reach = width / 2
-    from_middle = np.stack([columns - (width - 1) / 2, rows - values[ROW]], axis=-1)
-    bent = values[DISTORTION] * (from_middle**2).sum(axis=-1, keepdims=True) * from_middle / reach**3
-    column, row = columns - bent[..., 0], rows - bent[..., 1]
-    pixel = camera.pixel_mm * np.exp(values[PIXEL])
-    x_c, z_c = (column - values[COLUMN]) * pixel, (values[ROW] - row) * pixel
-    distance = (np.inf if camera.distance_mm is None else camera.distance_mm) * np.exp(values[DISTANCE])
-    if known.optics is None:
-        ones = np.ones_like(x_c)
-        return np.stack([x_c, 0 * ones, z_c], axis=-1), np.stack([x_c / distance, ones, z_c / distance], axis=-1)
-    optics = replace(
-        known.optics, distance_mm=float(distance), resin_index=known.optics.resin_index * float(np.exp(values[INDEX]))
-    )
-    rays = camera_to_virtual(x_c, z_c, optics)
-    cosine, sine = np.cos(rays.direction_rad), np.sin(rays.direction_rad)
-    return (
-        np.stack([rays.virtual_x_mm * cosine, -rays.virtual_x_mm * sine, rays.mid_height_mm], axis=-1),
-        np.stack([sine, cosine, rays.slope], axis=-1),
-    )
-
-
-def _turn(angle_rad: float, axis: int) -> FloatArray:
-    """Return the rotation about x, y or z; about y, to the right seen by the camera."""
-    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-    first, second = ((1, 2), (2, 0), (0, 1))[axis]
-    turn = np.eye(3)
-    turn[first, first], turn[first, second], turn[second, first], turn[second, second] = cosine, -sine, sine, cosine
-    return turn
 
 
 def _fit(views: Sequence[TargetView], known: Known, start: FloatArray | None) -> TargetFit:
@@ -266,20 +187,17 @@ def _fit(views: Sequence[TargetView], known: Known, start: FloatArray | None) ->
     values = _start(columns, rows, wanted, known) if start is None else start
     seen = _is_inside(columns, values, known)
 
-    def met(values: FloatArray, right: float = 0.0, down: float = 0.0) -> FloatArray:
-        return places_on_target(values, columns + right, rows + down, turned, known)
-
     prior = np.zeros(len(spread))
     prior[ROW], prior[COLUMN] = known.camera.optical_row, known.camera.axis_column
     kept, noise = seen, 0.1
     for _ in range(_PASSES):
-        here = met(values)
-        slopes = np.stack([met(values, _SMALL) - here, met(values, 0, _SMALL) - here], axis=-1) / _SMALL
-        pixels_a_mm = np.linalg.pinv(np.nan_to_num(slopes))
+        pixels_a_mm = np.asarray(np.linalg.pinv(slopes_on_target(values, columns, rows, turned, known)), np.float64)
 
         def off(values: FloatArray, scale: FloatArray = pixels_a_mm) -> FloatArray:
             """Return (point, 2) columns and rows."""
-            return np.asarray(np.nan_to_num(scale @ (met(values) - wanted)[..., None], nan=9.0)[..., 0])
+            met = places_on_target(values, columns, rows, turned, known)
+            apart = (scale @ (met - wanted)[..., None])[..., 0]
+            return np.asarray(np.clip(np.nan_to_num(apart, nan=_FAR), -_FAR, _FAR))
 
         used, before = kept, noise
         for _ in range(_STEPS):
@@ -319,8 +237,8 @@ def _start(columns: FloatArray, rows: FloatArray, wanted: FloatArray, known: Kno
         (a, c), (b, d), middle = np.linalg.lstsq(design, met[good], rcond=None)[0]
         values[PIXEL] -= np.log(np.hypot(b, d) if known.optics else np.sqrt(abs(a * d - b * c)))
         values[ROLL] = np.arctan2(-c, a)
-    right, up = (_turn(values[ROLL], 1)[[0, 2]][:, [0, 2]].T) @ middle
-    values[RIGHT], values[UP] = right, up
+    cosine, sine = np.cos(values[ROLL]), np.sin(values[ROLL])
+    values[RIGHT], values[UP] = cosine * middle[0] - sine * middle[1], sine * middle[0] + cosine * middle[1]
     return values
 
 

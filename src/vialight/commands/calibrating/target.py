@@ -11,21 +11,8 @@ import numpy as np
 from vialight.arrays import TURN_RAD, FloatArray
 from vialight.calibrate import Finding, Findings, check_unsaturated
 from vialight.calibrate.grids import Kind, centred, find_grid
-from vialight.calibrate.target import (
-    COLUMN,
-    DEPTH,
-    DISTORTION,
-    INDEX,
-    PITCH,
-    PIXEL,
-    ROW,
-    YAW,
-    Known,
-    TargetFit,
-    TargetView,
-    bend_of,
-    fit_target,
-)  # fmt: skip
+from vialight.calibrate.target import TargetFit, TargetView, bend_of, fit_target
+from vialight.calibrate.target_places import COLUMN, DEPTH, DISTORTION, INDEX, PITCH, PIXEL, ROW, YAW, Known
 from vialight.commands.calibrating.writing import check_out, shown_where_refused, write_calibrated
 from vialight.config import Camera, Optics, Rig, load_rig
 from vialight.diagnostics import Picture
