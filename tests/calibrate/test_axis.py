@@ -22,7 +22,8 @@ from vialight.surface import isosurface
 def test_axis_tilt_and_run_out_are_found_from_a_rig_four_columns_off(wobbling_axis: AxisFit) -> None:
     values = wobbling_axis.fit.parameters
     assert values[AXIS] == pytest.approx(AXIS_COLUMN, abs=0.03)
-    assert values[TILT] == pytest.approx(0.005, abs=np.radians(0.05))  # 9 um at 10 mm
+    # At a height of 10 mm 5 um, by which a reconstruction may be worse than one without faults.
+    assert values[TILT] == pytest.approx(0.005, abs=0.005 / 10)
     assert values[OUT_X : OUT_Y + 1] == pytest.approx([0.15, 0.0], abs=0.05 * PIXEL_MM)
     assert wobbling_axis.determined.all()
     assert wobbling_axis.fit.comparison.rms < 0.2 * wobbling_axis.before.rms

@@ -30,11 +30,14 @@ from vialight.errors import InputError
 SEARCH_COLUMNS = 12
 """How far the axis may lie from where the rig has it."""
 
-MODEL_STD = np.array([0.002, np.radians(0.03), 0.004, 0.004, 0.003])
-"""Standard uncertainties of the model itself, as `PRIOR`: rays that climb, a vial that leans towards the camera."""
+MODEL_STD = np.array([0.002, np.radians(0.005), 0.001, 0.001, 0.001])
+"""Standard uncertainties of the model itself, as `PRIOR`: twice the errors, or more, that are left without noise."""
 
 EDGE_STD_MM = 0.001
 """As above, of the run-out as the vial's edges have it."""
+
+COARSE_ROWS = 8
+"""Compared at a first look."""
 
 LEFT_ALONE = 0.3
 """A parameter whose standard uncertainty is more than this share of its span is left alone."""
@@ -43,7 +46,6 @@ _LIT = 0.5
 _ROWS_WANTED, _FEWEST_ROWS = 64, 24
 _CLIMB_PIXELS = 0.5
 _SURE_OF_DIRECTION = 1.1
-_COARSE_ROWS = 8
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,7 @@ def find_axis(
         return made if row_step is None else replace(made, row_step=row_step)
 
     start = np.array([centre, 0.0, 0.0, 0.0, 0.0])
-    coarse_step = max(2, counts.shape[1] // _COARSE_ROWS)
+    coarse_step = max(2, counts.shape[1] // COARSE_ROWS)
     coarse = {sense: fit(views(sense, coarse_step), start, smoothing=FIRST_LOOK) for sense in (1, -1)}
     ratio = coarse[-direction].comparison.rms / coarse[direction].comparison.rms
     told = max(ratio, 1 / ratio) > _SURE_OF_DIRECTION and optics is not None
@@ -207,8 +209,8 @@ def find_axis(
         circle = fit_circle(edges, sense * angles_rad, about, optics)
     found = _with_edges(found, circle)
     # Wide, so that what differs between frames is their angles and not what an interpolation of them misses.
-    wide = smoothed_splines(seen.counts, FIRST_LOOK)
-    coefficients = smoothed_splines(seen.counts, LAST_LOOK)
+    wide = smoothed_splines(seen, FIRST_LOOK, among_frames=False)
+    coefficients = smoothed_splines(seen, LAST_LOOK)
     compared = compare(_at(seen, found.parameters), coefficients, found.parameters)
     before = np.zeros(5)
     before[AXIS] = camera.axis_column

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from vialight.arrays import Float32Array, FloatArray
-from vialight.calibrate.sums import AXIS, DRIFT, OUT_X, OUT_Y, TILT, add_up
+from vialight.calibrate.sums import AXIS, DRIFT, OUT_X, OUT_Y, TILT, add_up, read_between
 from vialight.config import Camera, Optics
 from vialight.refraction import camera_to_virtual
 
@@ -26,8 +26,14 @@ FIRST_LOOK, LAST_LOOK = 4.0, 1.2
 SMOOTHING_ROWS, ROW_STEP, ROWS_A_BLOCK = 1.0, 2, 4
 """Rows: as above; between those compared; that count as one where it is asked how far noise scatters the result."""
 
+SECTORS = 36
+"""Of a turn, whose misfits are taken to be independent of each other."""
+
 SHARE_OF_VIAL = 0.9
 """Of its radius within which rays are compared: beyond it the edges' stray light moves."""
+
+_NOISE_LEFT = 0.2
+"""Of a pixel's noise, in the difference of two smoothed views."""
 
 _PASSES = 12
 _SETTLED = 0.03
@@ -89,6 +95,8 @@ class Comparison:
         (z, p, p), (z, frame, p): J'J and J'r of the differences.
     differences, by_angle
         (frame, x, z) and (2, frame, x, z): of each ray less its opposite, and both's derivative by angle.
+    weights
+        (frame, x, z) of the differences: less than 1 where the two rays climb past an edge of the part.
     gamma_rad
         (x, z) of the rays.
     """
@@ -97,12 +105,14 @@ class Comparison:
     gradient: FloatArray
     differences: Float32Array
     by_angle: Float32Array
+    weights: Float32Array
     gamma_rad: FloatArray
 
     @property
     def rms(self) -> float:
-        """Of the differences, counts."""
-        return float(np.sqrt(np.nanmean(self.differences.astype(np.float64) ** 2)))
+        """Of the differences by their weights, counts."""
+        squares = np.nan_to_num(self.differences.astype(np.float64)) ** 2
+        return float(np.sqrt((self.weights * squares).sum() / max(float(self.weights.sum(dtype=np.float64)), 1e-30)))
 
 
 @dataclass(frozen=True)
@@ -129,12 +139,41 @@ class Fit:
         return np.sqrt(np.diag(self.covariance))
 
 
-def smoothed_splines(counts: Float32Array, columns: float) -> Float32Array:
-    """Return cubic B-spline coefficients, along rows and columns, of smoothed frames."""
-    smooth = ndimage.gaussian_filter(counts, (0, SMOOTHING_ROWS, columns), mode="nearest")
+def smoothed_splines(views: Views, columns: float, *, among_frames: bool = True) -> Float32Array:
+    """Return cubic B-spline coefficients, along rows and columns, of smoothed frames.
+
+    Neighbouring columns are smoothed at one direction in the resin, for which frames are smoothed too.  At one stage
+    angle the kernel would lie askew in the sinogram, to one side in a view and to the other in its opposite.
+
+    Parameters
+    ----------
+    views
+        The frames.
+    columns
+        Standard deviation of the kernel.
+    among_frames
+        Whether to; else every frame stays by itself.
+    """
+    bend = _bend_of_columns(views)
+    smooth = ndimage.gaussian_filter1d(views.counts, SMOOTHING_ROWS, axis=1, mode="nearest")
+    if among_frames:
+        smooth = read_between(smooth, views.angles_rad, views.angles_rad, bend)
+    smooth = ndimage.gaussian_filter1d(smooth, columns, axis=2, mode="nearest")
+    if among_frames:
+        smooth = read_between(smooth, views.angles_rad, views.angles_rad, -bend)
     for axis in (1, 2):
         smooth = ndimage.spline_filter1d(smooth, 3, axis=axis, mode="mirror", output=np.float32)
     return smooth
+
+
+def _bend_of_columns(views: Views) -> FloatArray:
+    if views.optics is None:
+        return np.zeros(views.counts.shape[2])
+    column = np.arange(views.counts.shape[2], dtype=np.float64)
+    x_c = (column - views.camera.axis_column) * views.camera.pixel_mm
+    bend = _gamma(x_c, np.zeros(1), views.optics)[:, 0]
+    seen = np.flatnonzero(np.isfinite(bend))
+    return np.interp(column, seen, bend[seen])
 
 
 def compare(
@@ -154,23 +193,40 @@ def compare(
         (k, x, z) derivatives of gamma by what else is asked.
     """
     x, z, camera = views.x_c_mm, views.z_c_mm, views.camera
-    gamma = np.zeros((len(x), len(z))) if views.optics is None else _gamma(x, z, views.optics)
+    gamma, climb = np.zeros((len(x), len(z))), np.zeros((len(x), len(z)))
+    if views.optics is not None:
+        gamma, climb = _gamma(x, z, views.optics), _climb(views) / _noise(views.counts)
     slopes = np.zeros((0, *gamma.shape)) if slopes is None else slopes
     count, frames = 5 + len(slopes), len(views.angles_rad)
     normal, gradient = np.zeros((len(z), count, count)), np.zeros((len(z), frames, count))
     differences = np.empty((frames, *gamma.shape), np.float32)
     by_angle = np.empty((2, frames, *gamma.shape), np.float32)
+    weights = np.empty_like(differences)
     distance = 1e12 if views.optics is None else min(views.optics.distance_mm, 1e12)
     add_up(
-        coefficients, views.angles_rad, views.time, x, z, gamma, slopes, parameters,
+        coefficients, views.angles_rad, views.time, x, z, gamma, slopes, climb, parameters,
         np.array([camera.pixel_mm, camera.optical_row - views.first_row, distance]),
-        normal, gradient, differences, by_angle,
+        normal, gradient, differences, by_angle, weights,
     )  # fmt: skip
-    return Comparison(normal, gradient, differences, by_angle, gamma)
+    return Comparison(normal, gradient, differences, by_angle, weights, gamma)
 
 
 def _gamma(x_mm: FloatArray, z_mm: FloatArray, optics: Optics) -> FloatArray:
     return camera_to_virtual(x_mm[:, None], z_mm, optics).direction_rad
+
+
+def _climb(views: Views) -> FloatArray:
+    """Return by how many rows (x, z) a ray and its opposite differ in height, RMS over the resin that they cross."""
+    assert views.optics is not None
+    rays = camera_to_virtual(views.x_c_mm[:, None], views.z_c_mm, views.optics)
+    half_chord = np.sqrt(np.maximum(views.optics.inner_radius_mm**2 - rays.virtual_x_mm**2, 0))
+    return np.asarray(2 * np.abs(rays.slope) * half_chord / np.sqrt(3) / views.camera.pixel_mm)
+
+
+def _noise(counts: Float32Array) -> float:
+    """Return what noise leaves in the difference of two smoothed views, counts."""
+    pixel = 1.4826 * float(np.median(np.abs(np.diff(counts[:, :: ROW_STEP * 2], axis=0)))) / np.sqrt(2)
+    return float(max(_NOISE_LEFT * pixel, 1e-6 * float(counts.max()), 1e-30))
 
 
 def fit(views: Views, start: FloatArray, *, smoothing: float = LAST_LOOK) -> Fit:
@@ -187,7 +243,7 @@ def fit(views: Views, start: FloatArray, *, smoothing: float = LAST_LOOK) -> Fit
     """
     parameters = start.astype(np.float64)
     free = np.ones(5, bool) if views.optics is not None else np.array([True, True, False, False, True])
-    coefficients = smoothed_splines(views.counts, smoothing)
+    coefficients = smoothed_splines(views, smoothing)
     for _ in range(_PASSES):
         compared = compare(_about(views, parameters), coefficients, parameters)
         step, covariance = gauss_newton(compared, PRIOR, free)
@@ -202,12 +258,19 @@ def _about(views: Views, parameters: FloatArray) -> Views:
     return replace(views, camera=views.camera.model_copy(update={"axis_column": float(parameters[AXIS])}))
 
 
+def by_sector(by_frame: FloatArray, axis: int = 0) -> FloatArray:
+    """Add up over the frames of each sector: neighbouring frames are smoothed together and so not independent."""
+    count = by_frame.shape[axis]
+    starts = np.linspace(0, count, min(SECTORS, count), endpoint=False).astype(int)
+    return np.asarray(np.add.reduceat(by_frame, starts, axis=axis))
+
+
 def gauss_newton(compared: Comparison, prior: FloatArray, free: np.ndarray) -> tuple[FloatArray, FloatArray]:
     """Return the step to the least differences, and the covariance of the parameters.
 
     What is wrong with a row, its noise, is seen in how the rows' gradients differ; what is wrong with a frame, its
-    angle or light, in how those of frames do.  So the covariance is that of gradients clustered by rows and by frames
-    (Cameron, Gelbach and Miller 2011), and needs no model of the noise.
+    angle or light, in how those of frames do.  So the covariance is that of gradients clustered by rows and by sectors
+    of the turn (Cameron, Gelbach and Miller 2011), and needs no model of the noise.
     """
     span = prior[free]
     normal = compared.normal.sum(axis=0)[np.ix_(free, free)] * span[:, None] * span
@@ -215,7 +278,8 @@ def gauss_newton(compared: Comparison, prior: FloatArray, free: np.ndarray) -> t
     # Weak enough to leave alone whatever the frames determine.
     held = normal + 1e-9 * np.trace(normal) * np.eye(len(span))
     inverse = np.linalg.inv(held)
-    blocks = np.add.reduceat(gradient, np.arange(0, len(gradient), ROWS_A_BLOCK // ROW_STEP), axis=0)
+    blocks = by_sector(gradient, axis=1)
+    blocks = np.add.reduceat(blocks, np.arange(0, len(blocks), ROWS_A_BLOCK // ROW_STEP), axis=0)
     rows, frames, cells = blocks.sum(axis=1), blocks.sum(axis=0), blocks.reshape(-1, len(span))
     by_rows, by_frames, by_cells = (part.T @ part for part in (rows, frames, cells))
     excess, directions = np.linalg.eigh(by_frames - by_cells)

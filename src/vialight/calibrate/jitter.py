@@ -51,7 +51,9 @@ def find_jitter(compared: Comparison, angles_rad: FloatArray) -> Jitter:
     """
     frames, depth = len(angles_rad), compared.gamma_rad.shape[1]
     normal, gradient = np.zeros((frames, frames)), np.zeros((depth, frames))
-    add_up_angles(compared.differences, compared.by_angle, compared.gamma_rad, angles_rad, normal, gradient)
+    add_up_angles(
+        compared.differences, compared.by_angle, compared.weights, compared.gamma_rad, angles_rad, normal, gradient
+    )
     rough = _rough(frames)
     strength, modes = np.linalg.eigh(rough.T @ normal @ rough)
     modes = rough @ modes

@@ -11,6 +11,9 @@ from vialight.wobble import really_seen
 AXIS, TILT, OUT_X, OUT_Y, DRIFT = range(5)
 """Places in the vector of parameters: column, rad, mm, mm, share a turn; what changes gamma alone follows."""
 
+_NEAR = 8
+"""Frames that are smoothed over."""
+
 _Four = tuple[float, float, float, float]
 
 Sample = tuple[float, float, float, float, float]
@@ -19,8 +22,8 @@ Sample = tuple[float, float, float, float, float]
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
 def add_up(
     coefficients: Float32Array, angles: FloatArray, time: FloatArray, x_c: FloatArray, z_c: FloatArray,
-    gamma: FloatArray, slopes: FloatArray, parameters: FloatArray, camera: FloatArray,
-    normal: FloatArray, gradient: FloatArray, differences: Float32Array, by_angle: Float32Array,
+    gamma: FloatArray, slopes: FloatArray, climb: FloatArray, parameters: FloatArray, camera: FloatArray,
+    normal: FloatArray, gradient: FloatArray, differences: Float32Array, by_angle: Float32Array, weights: Float32Array,
 ) -> None:  # fmt: skip
     """Compare every ray with its opposite, and add up what says how parameters must change.
 
@@ -34,6 +37,9 @@ def add_up(
         (x,) positive and (z,) places in the axis plane.
     gamma, slopes
         (x, z) directions of the rays, (k, x, z) their derivatives by further parameters.
+    climb
+        (x, z) by how many rows a ray's and its opposite's heights differ, RMS, over what noise there is: the inverse
+        of a count.
     parameters
         (5 + k,), see `AXIS` and so on; the further ones are not read.
     camera
@@ -43,6 +49,8 @@ def add_up(
     differences, by_angle
         (frame, x, z), (2, frame, x, z), written: each ray less its opposite, NaN where one is not seen, and the
         derivatives of the two by the stage's angle.
+    weights
+        (frame, x, z), written: of each difference, 1 where heights do not matter.
     """
     frames, further = len(angles), len(slopes)
     count = 5 + further
@@ -60,8 +68,11 @@ def add_up(
                 difference = one[0] - other[0]
                 differences[f, i, k] = difference
                 by_angle[0, f, i, k], by_angle[1, f, i, k] = one[1], other[1]
+                weights[f, i, k] = 0.0
                 if np.isnan(difference):
                     continue
+                weight = 1 / (1 + ((one[2] + other[2]) / 2 * climb[i, k]) ** 2)
+                weights[f, i, k] = weight
                 for p in range(5):
                     row[p] = here[p] - there[p]
                 # What bends rays bends the one to the right as much as its opposite to the left.
@@ -70,9 +81,9 @@ def add_up(
                 for p in range(further):
                     row[5 + p] = -2 * other[1] * slopes[p, i, k]
                 for p in range(count):
-                    gradient[k, f, p] += row[p] * difference
+                    gradient[k, f, p] += weight * row[p] * difference
                     for q in range(count):
-                        normal[k, p, q] += row[p] * row[q]
+                        normal[k, p, q] += weight * row[p] * row[q]
 
 
 @njit(fastmath=FAST_MATH, cache=True)
@@ -145,6 +156,49 @@ def _frames_near(angles: FloatArray, theta: float) -> tuple[int, float, float, f
     return first, t0, t1, t2, t3
 
 
+def read_between(frames: Float32Array, angles: FloatArray, at: FloatArray, aside: FloatArray) -> Float32Array:
+    """Read each column at angles of its own, smoothed over a frame on either side.
+
+    Parameters
+    ----------
+    frames
+        (frame, row, column), sorted by angle.
+    angles
+        (frame,) ascending in [0, 2 pi).
+    at, aside
+        (k,), (column,): column c is read at ``at - aside[c]``.
+
+    Returns
+    -------
+    numpy.ndarray
+        (k, row, column).
+    """
+    read = np.zeros((len(at), *frames.shape[1:]), np.float32)
+    _read_between(frames, angles, at, aside, read)
+    return read
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _read_between(
+    frames: Float32Array, angles: FloatArray, at: FloatArray, aside: FloatArray, read: Float32Array
+) -> None:
+    """Weigh the frames about an angle by a Gaussian, and such that what is linear in angle stays."""
+    count, width = len(angles), TURN_RAD / len(angles)
+    for c in prange(len(aside)):
+        apart = np.empty(_NEAR)
+        for f in range(len(at)):
+            theta = at[f] - aside[c]
+            first = int((np.searchsorted(angles, theta % TURN_RAD, side="right") - _NEAR // 2) % count)
+            for m in range(_NEAR):
+                apart[m] = (angles[(first + m) % count] - theta + np.pi) % TURN_RAD - np.pi
+            weight = np.exp((np.min(apart**2) - apart**2) / (2 * width**2))
+            weight *= (weight * apart**2).sum() - apart * (weight * apart).sum()
+            weight /= weight.sum()
+            for m in range(_NEAR):
+                for r in range(frames.shape[1]):
+                    read[f, r, c] += weight[m] * frames[(first + m) % count, r, c]
+
+
 @njit(fastmath=FAST_MATH, cache=True)
 def _spline(t: float) -> tuple[_Four, _Four]:
     """Return the weights of the cubic B-spline's samples -1, 0, 1, 2 at 0 <= t < 1, and their derivatives."""
@@ -170,14 +224,14 @@ def _lagrange(near: tuple[int, float, float, float, float]) -> tuple[_Four, _Fou
 
 @njit(fastmath=FAST_MATH, cache=True)
 def add_up_angles(
-    differences: Float32Array, by_angle: Float32Array, gamma: FloatArray, angles: FloatArray, normal: FloatArray,
-    gradient: FloatArray,
+    differences: Float32Array, by_angle: Float32Array, weights: Float32Array, gamma: FloatArray, angles: FloatArray,
+    normal: FloatArray, gradient: FloatArray,
 ) -> None:  # fmt: skip
     """Add up what says how the angle of every frame must change.
 
     Parameters
     ----------
-    differences, by_angle, gamma, angles
+    differences, by_angle, weights, gamma, angles
         See `add_up`.
     normal, gradient
         (frame, frame), (z, frame), added to: J'J and J'r.
@@ -191,12 +245,12 @@ def add_up_angles(
                 if np.isnan(difference):
                     continue
                 near = _frames_near(angles, angles[f] + 2 * gamma[i, k] + np.pi)
-                weights, _ = _lagrange(near)
+                shares, _ = _lagrange(near)
                 for m in range(4):
                     place[m] = (near[0] + m) % frames
-                    row[m] = -by_angle[1, f, i, k] * weights[m]
+                    row[m] = -by_angle[1, f, i, k] * shares[m]
                 place[4], row[4] = f, by_angle[0, f, i, k]
                 for p in range(5):
-                    gradient[k, place[p]] += row[p] * difference
+                    gradient[k, place[p]] += weights[f, i, k] * row[p] * difference
                     for q in range(5):
-                        normal[place[p], place[q]] += row[p] * row[q]
+                        normal[place[p], place[q]] += weights[f, i, k] * row[p] * row[q]
