@@ -17,10 +17,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from calibrate.targets import CAMERA, IN_AIR, IN_VIAL, Target, picture
 from calibrate.test_target import RIG as TARGET_RIG
-from calibrate.wobbling import AXIS_COLUMN, axis_found, recorded
+from calibrate.wobbling import AXIS_COLUMN, THREE, WIDE, Posts, axis_found, recorded, rig_with
 from commands.test_calibrating_gelling import print_runs
 from vialight.arrays import Float32Array, FloatArray, Grid
-from vialight.calibrate import circle_in_heights, overhead, rim_threshold
+from vialight.calibrate import circle_in_heights, find_vial, overhead, rim_threshold, usual_widths
 from vialight.calibrate.grids import Kind
 from vialight.commands.calibrating import (
     FlatTarget,
@@ -43,6 +43,11 @@ from vialight.twin.sensor import Sensor
 DRAWS = 100
 SWEEPS = 10
 HOLDS = 20
+VIALS = 25
+VIAL_KEYS = ("outer radius, mm", "index", "distance, mm")
+RIG_COLUMN = 87.3
+"""Of the axis in `calibrate.wobbling`."""
+
 CURED, EDGE_MM = 200.0, 0.2
 """As in the shared cases: half of it at the surface, soft over so much."""
 STRAY = 60.0
@@ -185,12 +190,42 @@ def axis() -> None:
     recording = recorded(Faults(axis_offset_mm=(0.3, 0.0), run_out_mm=0.15, tilt_rad=(0.005, 0.0)))
     unit = np.array([1.0, np.degrees(1.0), 1.0, 1.0])
     fits = [axis_found(recording, off=-4.0, seed=draw).fit for draw in range(DRAWS)]
-    true = (AXIS_COLUMN, np.degrees(0.005), 0.15, 0.0)
+    true = (AXIS_COLUMN, 0.005, 0.15, 0.0)  # in the fit's units: the tilt in rad
     rows = zip(("axis, columns", "tilt, deg", "run-out x, mm", "run-out y, mm"), (4, 4, 5, 5), true, strict=True)
     _covered_head()
     for k, (name, digits, truth) in enumerate(rows):
         found = np.array([(fit.parameters[k] - truth, fit.std[k]) for fit in fits]) * unit[k]
         _covered_row(name, found, digits)
+
+
+def vial() -> None:
+    """Print how often radius, index and distance are covered, in rigs whose every value is off."""
+    taken = np.array([12.4, 1.48, 190.0, 1.1, 1.472, 0.155])
+    usual = usual_widths(taken)
+    known = usual * np.array([1.0, 0.05, 1.0, 1.0, 1.0, 0.1])
+    _covered_head()
+    for name, posts, widths in (
+        ("within 5 mm", THREE, usual),
+        ("out to 7 mm", WIDE, usual),
+        ("index known", WIDE, known),
+    ):
+        _covered_vial(name, posts, taken, widths)
+
+
+def _covered_vial(name: str, posts: Posts, taken: FloatArray, widths: FloatArray) -> None:
+    """Print rows of those values that were refined; the rigs' true values are off by what `widths` say."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for rig in range(VIALS):
+        truth = taken + np.random.default_rng(rig).normal(0, widths)
+        recording = recorded(Faults(), rig=rig_with(*truth), posts=posts)
+        axis = axis_found(recording, off=RIG_COLUMN - AXIS_COLUMN, seed=rig, rig=rig_with(*taken))
+        fit = find_vial(axis, widths)
+        for key, value, std, true, free in zip(VIAL_KEYS, fit.values, fit.std, truth, fit.free, strict=False):
+            if free:
+                found.setdefault(key, []).append((value - true, std))
+    for key in VIAL_KEYS:
+        if key in found:
+            _covered_row(f"{name}: {key}", np.array(found[key]), 4)
 
 
 def scale() -> None:
@@ -275,6 +310,7 @@ def _covered_row(name: str, found: FloatArray, digits: int) -> None:
 
 PARTS: dict[str, Callable[[], None]] = {
     "axis": axis, "gelling": gelling, "index": index, "projector": projector, "scale": scale, "threshold": threshold,
+    "vial": vial,
 }  # fmt: skip
 
 

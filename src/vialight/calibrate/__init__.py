@@ -1,6 +1,7 @@
 """What a calibration finds: estimators, arrays in, values with their standard uncertainties out."""
 
 from vialight.calibrate.axis import AxisFit, find_axis, rows_to_compare
+from vialight.calibrate.bending import bend_rad, usual_widths
 from vialight.calibrate.circles import Circle
 from vialight.calibrate.consistency import AXIS, DRIFT, OUT_X, OUT_Y, TILT, Comparison, Views
 from vialight.calibrate.edges import track_edges
@@ -18,8 +19,10 @@ from vialight.calibrate.threshold import (
     rim_threshold,
     weighted_mean,
 )
+from vialight.calibrate.vial import VialFit, bend_left, find_vial
 from vialight.calibrate.views import check_something_cured, check_turn, check_unsaturated
 from vialight.calibrate.working_curve import WorkingCurve, fit_working_curve
+from vialight.calibrate.zero import Turned, turned_since
 
 __all__ = [
     "AXIS",
@@ -39,13 +42,18 @@ __all__ = [
     "RimThreshold",
     "SurfaceThreshold",
     "Sweep",
+    "Turned",
+    "VialFit",
     "Views",
     "WorkingCurve",
+    "bend_left",
+    "bend_rad",
     "check_something_cured",
     "check_turn",
     "check_unsaturated",
     "circle_in_heights",
     "find_axis",
+    "find_vial",
     "fit_projector",
     "fit_working_curve",
     "index_from_cylinders",
@@ -57,5 +65,7 @@ __all__ = [
     "scale_from_edges",
     "surface_threshold",
     "track_edges",
+    "turned_since",
+    "usual_widths",
     "weighted_mean",
 ]

@@ -278,9 +278,14 @@ def gauss_newton(compared: Comparison, prior: FloatArray, free: np.ndarray) -> t
     # Weak enough to leave alone whatever the frames determine.
     held = normal + 1e-9 * np.trace(normal) * np.eye(len(span))
     inverse = np.linalg.inv(held)
-    blocks = by_sector(gradient, axis=1)
-    blocks = np.add.reduceat(blocks, np.arange(0, len(blocks), ROWS_A_BLOCK // ROW_STEP), axis=0)
-    rows, frames, cells = blocks.sum(axis=1), blocks.sum(axis=0), blocks.reshape(-1, len(span))
+    starts = np.arange(0, len(gradient), ROWS_A_BLOCK // ROW_STEP)
+    blocks = np.add.reduceat(by_sector(gradient, axis=1), starts, axis=0)
+    frames, cells = blocks.sum(axis=0), blocks.reshape(-1, len(span))
+    # Blocks are few, and some decide nearly by themselves: each as it is where the others are fitted (a jackknife); but
+    # for a tenth, so that one that decides alone does not end at infinity.
+    block_normal = np.add.reduceat(compared.normal[:, free][:, :, free], starts, axis=0) * span[:, None] * span
+    others = np.eye(len(span)) - 0.9 * block_normal @ inverse
+    rows = np.linalg.solve(others, blocks.sum(axis=1)[..., None])[..., 0]
     by_rows, by_frames, by_cells = (part.T @ part for part in (rows, frames, cells))
     excess, directions = np.linalg.eigh(by_frames - by_cells)
     scatter = by_rows + directions * np.maximum(excess, 0) @ directions.T

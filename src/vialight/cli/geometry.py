@@ -1,4 +1,4 @@
-"""`vialight calibrate axis|scale|check`: parsing and wiring only."""
+"""`vialight calibrate axis|vial|scale|check`: parsing and wiring only."""
 
 from __future__ import annotations
 
@@ -35,6 +35,28 @@ def axis(frames: Path, rig: Path, out: Path, turn: int | None, as_json: bool) ->
         from vialight.commands.calibrating import calibrate_axis
 
         result = calibrate_axis(frames, rig, out, turn=turn)
+        show(result, as_json, lambda: calibration_lines(result, out))
+
+
+@click.command()
+@click.argument("frames", type=_FILE)
+@_rig
+@_out
+@_turn
+@_as_json
+def vial(frames: Path, rig: Path, out: Path, turn: int | None, as_json: bool) -> None:
+    """Refine outer radius, imaging index and camera distance from the FRAMES (HDF5) of any print.
+
+    As far as they determine them: the page says what was left alone, and why.
+
+    \b
+    Example:
+      vialight calibrate vial run/frames.h5 --rig rig.toml --out calibrated.toml
+    """
+    with faults_told():
+        from vialight.commands.calibrating import calibrate_vial
+
+        result = calibrate_vial(frames, rig, out, turn=turn)
         show(result, as_json, lambda: calibration_lines(result, out))
 
 
@@ -101,4 +123,4 @@ def check(run: Path, rig: Path | None, turn: int | None, out: Path | None, as_js
         show(result, as_json, lambda: check_lines(result))
 
 
-COMMANDS = (axis, scale, check)
+COMMANDS = (axis, vial, scale, check)

@@ -3,7 +3,7 @@
 from vialight.report.calibration_figures import gel_doses_png, sweep_png, working_curve_png
 from vialight.report.calibration_page import write_calibration_page, write_check_page
 from vialight.report.colours import colour_limit_mm, deviation_colours
-from vialight.report.geometry_figures import axis_round_png, frame_png, mirror_png
+from vialight.report.geometry_figures import axis_round_png, bend_png, frame_png, mirror_png
 from vialight.report.growth import growth_figure
 from vialight.report.kinetics_figures import GelPlanes, gel_times_png, kinetics_png
 from vialight.report.page import Figure, Provenance, write_report
@@ -17,6 +17,7 @@ __all__ = [
     "GelPlanes",
     "Provenance",
     "axis_round_png",
+    "bend_png",
     "colour_limit_mm",
     "deviation_colours",
     "frame_png",

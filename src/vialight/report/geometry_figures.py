@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vialight.arrays import FloatArray
-from vialight.calibrate import AXIS, OUT_X, OUT_Y, AxisFit, Comparison
+from vialight.calibrate import AXIS, OUT_X, OUT_Y, AxisFit, Comparison, VialFit, bend_left, bend_rad
 from vialight.config import Camera, Optics
 from vialight.report.canvas import new_figure, png, style
 from vialight.viewing import vial_edge_columns
@@ -66,6 +66,28 @@ def mirror_png(before: Comparison, after: Comparison, angles_deg: FloatArray) ->
 
 def _middle(compared: Comparison) -> FloatArray:
     return np.asarray(compared.differences[:, :, compared.differences.shape[2] // 2], dtype=np.float64)
+
+
+def bend_png(found: VialFit) -> bytes:
+    """Draw by how much more rays bend than the rig had it, column by column, and as the values found have it."""
+    columns = found.views.x_c_mm / found.views.camera.pixel_mm
+    level = np.zeros(1)
+    more = bend_rad(found.vector, columns, level) - bend_rad(found.vector_before, columns, level)
+    with style():
+        figure = new_figure(7.2, 4.6)
+        above, below = figure.subplots(2, 1, sharex=True)
+        value, _ = (np.degrees(part) for part in bend_left(found.compared_before))
+        above.plot(np.arange(len(value)) + 0.5, value, ".", color=_BEFORE, markersize=3, label="each column")
+        left, std = (np.degrees(part) for part in bend_left(found.compared))
+        below.errorbar(columns, left, std, fmt=".", color=_BEFORE, markersize=3, linewidth=0.7)
+        for axis in (above, below):
+            axis.grid(linewidth=0.3)
+            axis.axhline(0, color="#5d6778", linewidth=0.6)
+        above.plot(columns, np.degrees(more[:, 0]), color=_FOUND, linewidth=1.2, label="values found")
+        above.set_ylabel("bend less the rig's, deg")
+        above.legend(frameon=False, ncols=2, fontsize="small")
+        below.set(xlabel="columns beside the axis", ylabel="left over, deg")
+        return png(figure)
 
 
 def axis_round_png(found: AxisFit) -> bytes:

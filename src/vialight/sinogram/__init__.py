@@ -12,12 +12,13 @@ from vialight.sinogram.background import attenuation, bin_frames
 from vialight.sinogram.geometry import parallel_beam, rows_seen, warn_of_unseen_rays
 from vialight.sinogram.resampling import resample
 from vialight.sinogram.straightening import Straightening, straightening
-from vialight.sinogram.turns import frames_a_turn, select_turn
+from vialight.sinogram.turns import count_turns, frames_a_turn, select_turn
 
 __all__ = [
     "Straightening",
     "attenuation",
     "bin_frames",
+    "count_turns",
     "frames_a_turn",
     "parallel_beam",
     "resample",

@@ -47,14 +47,30 @@ def select_turn(angles_rad: FloatArray, turn: int | None = None) -> IntArray:
     step = nominal_step(np.sort(travelled))
     if turn is None:
         return np.asarray(np.flatnonzero(travelled > travelled.max() + step / 2 - TURN_RAD), dtype=np.int64)
-    end = travelled.max() + max(step, min(_SHORT_END_STEPS * step, _SHORT_END_RAD))
-    turns = int(end / TURN_RAD + 1e-6)
+    turns = _full_turns(travelled, step)
     if not 1 <= turn <= max(turns, 1):
         degrees = np.degrees(travelled.max())
         raise InputError("--turn", f"is {turn}, the frames span {degrees:.1f} deg", accepted=f"1 to {max(turns, 1)}")
     start = (turn - 1) * TURN_RAD - step / 2
     chosen = np.flatnonzero((travelled >= start) & (travelled < start + TURN_RAD))
     return np.asarray(chosen, dtype=np.int64)
+
+
+def count_turns(angles_rad: FloatArray) -> int:
+    """Return how many full turns frames make; the arguments are those of `select_turn`.
+
+    Examples
+    --------
+    >>> count_turns(np.radians(np.arange(400) * 2.0))
+    2
+    """
+    travelled = _travelled(angles_rad)
+    return _full_turns(travelled, nominal_step(np.sort(travelled)))
+
+
+def _full_turns(travelled: FloatArray, step: float) -> int:
+    end = travelled.max() + max(step, min(_SHORT_END_STEPS * step, _SHORT_END_RAD))
+    return int(end / TURN_RAD + 1e-6)
 
 
 def _travelled(angles_rad: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from vialight.commands.calibrating.scale import calibrate_scale
 from vialight.commands.calibrating.standards import Standard, StandardOptions
 from vialight.commands.calibrating.target import FlatTarget, calibrate_scale_by_target
 from vialight.commands.calibrating.threshold import calibrate_threshold
+from vialight.commands.calibrating.vial import calibrate_vial
 
 __all__ = [
     "FlatTarget",
@@ -22,5 +23,6 @@ __all__ = [
     "calibrate_scale",
     "calibrate_scale_by_target",
     "calibrate_threshold",
+    "calibrate_vial",
     "check_calibration",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,11 @@ from vialight.commands.calibrating.writing import check_out, write_calibrated
 from vialight.config import Rig, load_rig
 from vialight.diagnostics import Picture
 
+_ZERO_MATTERS_DEG = 0.05
+"""A turn; at the rim of the field, 8 mm from the axis, 7 um."""
+
 _SURE = 2.0
-"""Standard uncertainties that a run-out must have to be more than none."""
+"""Standard uncertainties that a run-out, or a drift, must have to be more than none."""
 
 
 def calibrate_axis(
@@ -47,9 +51,8 @@ def calibrate_axis(
     rig = load_rig(rig_path)
     with calibration_turn(frames_path, rig, out, turn) as taken:
         found = axis_of(taken, rig)
-        return write_calibrated(
-            _findings(found, taken, rig), rig_path, frames_path, out, figures=_figures(found, taken)
-        )
+        findings = _with_zero(_findings(found, taken, rig), taken)
+        return write_calibrated(findings, rig_path, frames_path, out, figures=_figures(found, taken))
 
 
 def axis_of(taken: CalibrationTurn, rig: Rig) -> AxisFit:
@@ -93,6 +96,34 @@ def _findings(found: AxisFit, taken: CalibrationTurn, rig: Rig) -> Findings:
         + (", and the vial's edges" if found.circle else ""),
         values, notes, _details(found, taken),
     )  # fmt: skip
+
+
+def _with_zero(findings: Findings, taken: CalibrationTurn) -> Findings:
+    """Add by how much the angle zero moves from turn to turn, where there are several."""
+    turns = taken.zero_by_turn()
+    if not turns:
+        return findings
+    moved = np.degrees([turned.rad for _, turned in turns])
+    std = np.degrees([turned.std_rad for _, turned in turns])
+    drift, uncertainty = float(moved.mean()), float(np.sqrt((std**2).sum()) / len(std))
+    rows = [
+        (f"{turn - 1} to {turn}", f"{by:.3f} ± {within:.3f}".replace("-", "\u2212"))
+        for (turn, _), by, within in zip(turns, moved, std, strict=True)
+    ]
+    notes = list(findings.notes)
+    if abs(drift) > max(_SURE * uncertainty, _ZERO_MATTERS_DEG):
+        notes.append(
+            f"The part stands {drift:.2f} deg farther on with every turn, at the same angle of the stage: the stage's "
+            "own angle is off, or the part slips in its vial."
+        )
+    details = dict(findings.details) | {
+        "angle_zero_moved_deg": {str(turn): float(by) for (turn, _), by in zip(turns, moved, strict=True)},
+        "angle_zero_moved_deg_std": {str(turn): float(by) for (turn, _), by in zip(turns, std, strict=True)},
+        "angle_zero_drift_deg_a_turn": drift,
+        "angle_zero_drift_deg_a_turn_std": uncertainty,
+    }
+    table = ("The angle zero, from turn to turn", ("turns", "farther on, deg"), rows)
+    return replace(findings, notes=notes, details=details, tables=[*findings.tables, table])
 
 
 def _run_out(found: AxisFit) -> list[Finding]:

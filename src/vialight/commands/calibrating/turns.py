@@ -4,19 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from vialight.arrays import Float32Array, FloatArray
-from vialight.calibrate import check_something_cured, check_turn, check_unsaturated, rows_to_compare
+from vialight.calibrate import (
+    Turned,
+    check_something_cured,
+    check_turn,
+    check_unsaturated,
+    rows_to_compare,
+    turned_since,
+)
 from vialight.commands.calibrating.writing import shown_where_refused
 from vialight.config import Rig
+from vialight.errors import InputError
 from vialight.pipeline import Scan, Settings, open_scan
 from vialight.report import frame_png
-from vialight.sinogram import bin_frames
+from vialight.sinogram import bin_frames, count_turns, select_turn
+from vialight.sinogram.turns import sorted_turn
 from vialight.store import open_frames
+
+MOST_TURNS = 8
+"""That the angle zero is followed over."""
 
 MOST_COLUMNS = 640
 """Wider images are binned first: a few hundredths of a column need no more."""
@@ -52,6 +64,30 @@ class CalibrationTurn:
     def column_of(self, binned: float) -> float:
         """Return a column of the recording."""
         return (binned + 0.5) * self.scan.binning - 0.5
+
+    def zero_by_turn(self) -> list[tuple[int, Turned]]:
+        """Return, for the last turns in which something had cured, by how much the part had turned on since the last.
+
+        Each with its number, from 1; what was compared is that turn and the one before.
+        """
+        scan = self.scan
+        every = scan.frames.angles_rad
+        last = count_turns(every)
+        found, before = [], None
+        for turn in range(max(1, last - MOST_TURNS), last + 1):
+            chosen = select_turn(every, turn)
+            order, angles = sorted_turn(every[chosen])
+            later = replace(scan, chosen=chosen[order], angles_rad=angles).as_recorded(self.rows)
+            try:
+                check_turn(angles)
+                check_something_cured(later, "")
+            except InputError:
+                before = None
+                continue
+            if before is not None:
+                found.append((turn, turned_since(*before, later, angles)))
+            before = (later, angles)
+        return found
 
 
 @contextmanager
@@ -93,13 +129,7 @@ def calibration_turn(frames_path: str | Path, rig: Rig, out: str | Path, turn: i
             rows = rows_to_compare(np.asarray(whole.mean(axis=(0, 2)), np.float64), scan.camera, scan.optics)
             raw = bin_frames(frames.read(scan.chosen, slice(rows.start * binning, rows.stop * binning)), binning)
             # Of frames at one angle the last stays, as in a reconstruction.
-            kept = np.sort(_last_of_each(scan.angles_rad))
+            kept = np.sort(sorted_turn(scan.angles_rad)[0])
             yield CalibrationTurn(
                 scan, rows, whole[kept][:, rows], scan.angles_rad[kept], raw[kept].mean(axis=1, dtype=np.float64), first
             )
-
-
-def _last_of_each(angles_rad: FloatArray) -> np.ndarray:
-    from vialight.sinogram.turns import sorted_turn
-
-    return sorted_turn(angles_rad)[0]
