@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import os
 import shutil
-import struct
 import subprocess
 import time
 from collections.abc import Iterator
@@ -15,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
+from devices.cameras.screen_camera import pixels_of
 
 COLUMNS, ROWS = 320, 240
 
@@ -38,10 +39,7 @@ class Xvfb:
         with os.fdopen(read) as answer:
             self.display = f":{answer.readline().strip()}"
         self.framebuffer = folder / "Xvfb_screen0"
-        self._screen = np.memmap(self.framebuffer, np.uint8, "r")
-        # The head of an XWD file, big-endian: its own length, ..., bytes a line, ..., colours.
-        head = struct.unpack(">25I", self._screen[:100].tobytes())
-        self._start, self._line = head[0] + 12 * head[19], head[12]
+        self._screen = pixels_of(self.framebuffer, COLUMNS, ROWS)
 
     def light_the_desktop(self) -> None:
         """Make white what lies under all windows, as a desktop may be."""
@@ -57,8 +55,7 @@ class Xvfb:
 
     def pixels(self) -> NDArray[np.uint8]:
         """(row, column, blue-green-red) on the screen now."""
-        content = self._screen[self._start : self._start + self._line * ROWS].reshape(ROWS, self._line)
-        return np.array(content[:, : 4 * COLUMNS]).reshape(ROWS, COLUMNS, 4)[..., :3]
+        return np.array(self._screen).reshape(ROWS, COLUMNS, 4)[..., :3]
 
     def is_black(self) -> bool:
         """Whether no light comes from the screen."""

@@ -28,6 +28,7 @@ _Fill = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32
 def pixels_of(framebuffer: Path, columns: int, rows: int) -> NDArray[np.uint8]:
     """Return (row, 4 * column) what a screen of Xvfb shows, always as it is now."""
     content = np.memmap(framebuffer, np.uint8, "r")
+    # The head of an XWD file, big-endian: its own length, ..., bytes a line, ..., colours.
     head = struct.unpack(">25I", content[:100].tobytes())
     start, line = head[0] + 12 * head[19], head[12]
     return content[start : start + line * rows].reshape(rows, line)[:, : 4 * columns]
