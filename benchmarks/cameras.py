@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import fcntl
 import json
+import shutil
 import socket
 import struct
 import subprocess
@@ -70,7 +71,10 @@ def main() -> None:
 
 def all_streamed(seconds: float) -> list[dict[str, Any]]:
     """Stream at each rate, at once where that can be."""
-    can_be_apart = subprocess.run([*_APART, "true"], capture_output=True, check=False).returncode == 0
+    can_be_apart = (
+        shutil.which(_APART[0]) is not None
+        and subprocess.run([*_APART, "true"], capture_output=True, check=False).returncode == 0
+    )
     command = [*(_APART if can_be_apart else []), sys.executable, __file__, "--seconds", str(seconds)]
     running = []
     for rate_hz in RATES_HZ:
