@@ -6,7 +6,7 @@ import contextlib
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -152,13 +152,13 @@ def print_part(
         A device fails before there is light.
     """
     settings, live, simulation = settings or PrintSettings(), live or LiveOptions(), simulation or Simulation()
-    job = _Job.read(Path(plan_path), rig_path, live, simulation)
-    model = None
+    job, model = _Job.read(Path(plan_path), rig_path, live, simulation), None
     if settings.stop == "auto":
         on_step("rehearsing the print, to know when to stop")
         model = kept_stop_model(
             job.plan, job.recorded, job.resin, voxel_mm=live.rehearsal_voxel_mm, progress=on_rehearsal
         )
+        job = job.with_threshold_of(model)
         if model.nominal_turns < FEWEST_TURNS:
             on_step(
                 f"warning: this print wants light for {model.nominal_turns:.1f} turns, and a forecast comes too late "
@@ -277,6 +277,15 @@ class _Job:
         recorded = _as_recorded(believed, None if is_real else resin, live.threshold, simulation.binning)
         return cls(plan_path, plan, believed, recorded, resin, reference, live, simulation, str(rig_path), is_real)
 
+    def with_threshold_of(self, model: StopModel) -> _Job:
+        """Return the job with the rehearsal's I_p, where neither rig nor user gives one."""
+        if self.rig.resin.threshold is not None or self.live.threshold is not None:
+            return self
+        gelled = self.resin.scattering.density(np.array([self.resin.chemistry.gel_conversion], np.float32))
+        threshold = float(gelled[0]) / model.gel_share * self.simulation.binning**2
+        resin = self.recorded.resin.model_copy(update={"threshold": threshold})
+        return replace(self, recorded=self.recorded.model_copy(update={"resin": resin}))
+
     def write_to(self, run: Path, settings: PrintSettings) -> dict[str, Any]:
         """Write what is known before the print; return what ``run.json`` then holds."""
         shutil.copyfile(self.plan_path, run / "plan.h5")
@@ -341,8 +350,8 @@ def _refuse_for_real_devices(simulation: Simulation) -> None:
 def _as_recorded(rig: Rig, simulated: ResinModel | None, threshold: float | None, binning: int) -> Rig:
     """Return the rig of the recorded pixels, with a threshold that belongs to them.
 
-    Counts of binned pixels are sums, and so is the threshold.  Where neither rig nor user gives one, it is that of the
-    simulated resin, if that is what is printed in: the density at its gel point.
+    Counts of binned pixels are sums, and so is the threshold.  Where neither rig nor user gives one, and the twin
+    prints, it is half of what its resin scatters at most: where a blurred edge is.
     """
     if threshold is None:
         threshold = _known_threshold(rig, simulated, binning)
@@ -354,8 +363,7 @@ def _as_recorded(rig: Rig, simulated: ResinModel | None, threshold: float | None
 
 def _known_threshold(rig: Rig, simulated: ResinModel | None, binning: int) -> float:
     if rig.resin.threshold is None and simulated is not None:
-        gelled = np.array([simulated.chemistry.gel_conversion], np.float32)
-        return float(simulated.scattering.density(gelled)[0]) * binning**2
+        return float(simulated.scattering.density(np.ones(1, np.float32))[0]) / 2 * binning**2
     if simulated is None:
         return rig.need_threshold(rig.imaged_under())
     # The twin's counts are those that the rig was calibrated at, whatever its exposure and gain; its pixels add up.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from vialight.arrays import BoolArray, Float32Array, FloatArray, Grid, IntArray
 from vialight.config import Rig
@@ -65,16 +65,20 @@ class Rehearsal:
     Parameters
     ----------
     crossing_s
-        (place,) lit time at which each place's density, the mean of the last turn, passes I_p; NaN where it never does.
+        (place,) lit time at which each place's density, the mean of the last turn, passes that at the gel point; NaN
+        where it never does.
     stop_s
         Lit time at which the light should go off.
     rmse_mm
         What the two-sided RMSE then is.
+    surface_density
+        Of the live volume on the finished part's surface, the mean: I_p, as a calibration finds it.
     """
 
     crossing_s: FloatArray = field(repr=False)
     stop_s: float
     rmse_mm: float
+    surface_density: float
 
 
 class Rehearser:
@@ -87,7 +91,7 @@ class Rehearser:
     rig
         The printer.
     resin
-        What is believed to be in its vial, and what I_p was calibrated in.
+        What is believed to be in its vial.
     voxel_mm
         Of the chemistry.
     resolution_mm
@@ -147,9 +151,7 @@ class Rehearser:
         resin = replace(
             resin, chemistry=replace(resin.chemistry, sensitivity=sensitivity * resin.chemistry.sensitivity)
         )
-        # I_p is the density at the gel point of the resin that it was calibrated in.
-        gel_point = np.array([self._resin.chemistry.gel_conversion], np.float32)
-        threshold = float(self._resin.scattering.density(gel_point)[0])
+        threshold = self.gel_density
         a_turn = max(1, round(self.turn_s / _LOOK_S))
         state, lit_s = fresh(self.grid, resin.chemistry), 0.0
         looks: list[Float32Array] = []
@@ -172,16 +174,40 @@ class Rehearser:
         if not kept:
             raise InputError("resin", "does not gel in the rehearsal", remedy="check irradiance and absorption")
         stop_s, rmse_mm = self._best(kept, resin)
-        return Rehearsal(crossings_s(np.array(looks), _LOOK_S, a_turn, threshold), stop_s, rmse_mm)
+        at_stop = min(kept, key=lambda moment: abs(moment[0] - stop_s))[1]
+        return Rehearsal(
+            crossings_s(np.array(looks), _LOOK_S, a_turn, threshold), stop_s, rmse_mm,
+            self._surface_density(at_stop, resin),
+        )  # fmt: skip
+
+    @property
+    def gel_density(self) -> float:
+        """Density at the gel point of the resin that is believed in."""
+        gel_point = np.array([self._resin.chemistry.gel_conversion], np.float32)
+        return float(self._resin.scattering.density(gel_point)[0])
 
     def final_rmse_mm(self, state: Cure, resin: ResinModel) -> float:
         """Return the two-sided RMSE after the dark cure, if the light goes off now; infinite where nothing gels."""
+        finished = self._finished(state, resin)
+        if not float(finished.conversion.max()) > resin.chemistry.gel_conversion:
+            return float("inf")
+        return self.design.rmse_mm(gelled_surface(finished.conversion, self.grid, resin.chemistry.gel_conversion))
+
+    def _finished(self, state: Cure, resin: ResinModel) -> Cure:
+        """Return what becomes of a state in the dark."""
         dark = np.zeros_like(self.mj_per_s)
         for _ in range(int(np.ceil(_DARK_LIFETIMES / resin.chemistry.radical_decay_per_s / _DARK_STEP_S))):
             state = self._cured(state, resin, dark, _DARK_STEP_S)
-        if not float(state.conversion.max()) > resin.chemistry.gel_conversion:
-            return float("inf")
-        return self.design.rmse_mm(gelled_surface(state.conversion, self.grid, resin.chemistry.gel_conversion))
+        return state
+
+    def _surface_density(self, state: Cure, resin: ResinModel) -> float:
+        conversion = self._finished(state, resin).conversion
+        surface = gelled_surface(conversion, self.grid, resin.chemistry.gel_conversion)
+        x, y, z = self.grid.x_mm[0], self.grid.y_mm[0], self.grid.z_mm[0]
+        at = (surface.vertices_mm - [x, y, z]) / self.grid.voxel_mm
+        return float(
+            map_coordinates(self._blurred(resin, conversion), at[:, [1, 0, 2]].T, order=1, mode="nearest").mean()
+        )
 
     def _cured(self, state: Cure, resin: ResinModel, mj_per_s: Float32Array, duration_s: float) -> Cure:
         dose = mj_per_s * np.float32(duration_s)
@@ -193,10 +219,14 @@ class Rehearser:
         return 20 * critical / brightest if brightest > 0 else 0.0
 
     def _look(self, resin: ResinModel, state: Cure) -> Float32Array:
-        density = resin.scattering.density(state.conversion)
+        return np.asarray(self._blurred(resin, state.conversion).reshape(-1)[self._watched])
+
+    def _blurred(self, resin: ResinModel, conversion: Float32Array) -> Float32Array:
+        """Return (y, x, z) the density as a live volume has it."""
+        density = resin.scattering.density(conversion)
         if self._resolution_mm > 0:
             density = gaussian_filter(density, self._resolution_mm / self.grid.voxel_mm)
-        return np.asarray(density.reshape(-1)[self._watched])
+        return density
 
     def _volume_to_come(self, resin: ResinModel, state: Cure) -> float:
         """Return what will have gelled when all radicals are trapped, as a share of the part."""

@@ -46,7 +46,7 @@ def stop_model_for(
     rig
         The printer; its camera is that of the recorded, binned pixels.
     resin
-        What the resin is believed to be; its sensitivity counts as 1, and I_p is taken to be calibrated in it.
+        What the resin is believed to be; its sensitivity counts as 1.
     voxel_mm
         Of the rehearsal, and edge of the places watched.
     resolution_mm
@@ -84,6 +84,7 @@ def stop_model_for(
         ),
         turn_s=rehearser.turn_s,
         waiting_s=waiting_s(plan, rehearser.rig, rehearser.grid, rehearser.near_surface),
+        gel_share=rehearser.gel_density / nominal.surface_density,
     )
 
 

@@ -53,8 +53,8 @@ class StopModel:
     sensitivities
         (resin,) relative to nominal, ascending, 2 or more.
     crossing_s
-        (resin, place) lit time at which each place's density passes I_p in the live volume, which is the mean of the
-        last turn; NaN where it never does before the print is overdone.
+        (resin, place) lit time at which each place's density passes that at the gel point in the live volume, which is
+        the mean of the last turn; NaN where it never does before the print is overdone.
     stop_s
         (resin,) lit time at which light should go off.
     doubts
@@ -64,6 +64,9 @@ class StopModel:
     waiting_s
         (phase,) what stopping in each phase of a turn costs, as if the light went off so many seconds wrong: the
         unevenness of the dose of a part of a turn.  Phase k is `k turn_s / phases` after a whole number of turns.
+    gel_share
+        Density at the gel point over I_p.  I_p is calibrated on finished surfaces, where it is the mean of what has
+        cured beside what has not; inside the part a place gels at less.
     """
 
     points_mm: FloatArray = field(repr=False)
@@ -74,6 +77,7 @@ class StopModel:
     doubts: tuple[Doubt, ...]
     turn_s: float
     waiting_s: FloatArray = field(repr=False)
+    gel_share: float = 1.0
 
     def __post_init__(self) -> None:
         resins, places = len(self.sensitivities), len(self.points_mm)
@@ -109,6 +113,7 @@ class StopModel:
             "points_mm": _listed(self.points_mm, 4), "size_mm": self.size_mm,
             "sensitivities": self.sensitivities.tolist(), "crossing_s": _listed(self.crossing_s, 3),
             "stop_s": self.stop_s.tolist(), "turn_s": self.turn_s, "waiting_s": self.waiting_s.tolist(),
+            "gel_share": self.gel_share,
             "doubts": [
                 {
                     "name": doubt.name, "crossing_change": _listed(doubt.crossing_change, 6),
@@ -135,7 +140,7 @@ class StopModel:
             return cls(
                 _array(held["points_mm"]), float(held["size_mm"]), _array(held["sensitivities"]),
                 _array(held["crossing_s"]), _array(held["stop_s"]), doubts, float(held["turn_s"]),
-                _array(held["waiting_s"]),
+                _array(held["waiting_s"]), float(held.get("gel_share", 1.0)),
             )  # fmt: skip
         except (KeyError, TypeError, ValueError) as error:
             raise InputError("stop model", f"cannot be used ({error})", remedy="make it again") from error

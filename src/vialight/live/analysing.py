@@ -14,7 +14,7 @@ import numpy as np
 from vialight.arrays import Float32Array, Volume
 from vialight.errors import InputError
 from vialight.links import Mailbox, SurfaceSnapshot, leave_interrupts_to_the_print
-from vialight.live.analysis import GelTimes, Measured, coarsened, measure, measured_grid, middle_slices, yardstick
+from vialight.live.analysis import GelTimeMap, Measured, coarsened, measure, measured_grid, middle_slices, yardstick
 from vialight.live.following import LiveSettings
 from vialight.live.sharing import Moment, SharedVolume
 from vialight.store import SERIES, VolumeSeriesWriter, write_history, write_ply
@@ -69,7 +69,7 @@ class _Analyst:
         self._snapshots, self._forecasts = (Mailbox(settings.mailboxes / name) for name in ("snapshot", "forecast"))
         self._grid = measured_grid(shared.grid)
         self._against = None if settings.reference is None else yardstick(settings.reference, self._grid)
-        self._gel_times = GelTimes(shared.grid.shape)
+        self._gel_times = GelTimeMap(shared.grid.shape)
         z, y, x = shared.grid.shape
         self._density: Float32Array = np.empty((y, x, z), np.float32).transpose(2, 0, 1)  # voxels in the same order
         self._series: VolumeSeriesWriter | None = None

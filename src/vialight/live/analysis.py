@@ -176,7 +176,7 @@ def middle_slices(density: Float32Array) -> Sums:
     return Sums(density[z].copy(), density[:, y].copy(), density[:, :, x].copy())
 
 
-class GelTimes:
+class GelTimeMap:
     """When each voxel gelled, and the mean of that along each axis.
 
     Parameters
@@ -186,7 +186,7 @@ class GelTimes:
 
     Examples
     --------
-    >>> times = GelTimes((1, 1, 2))
+    >>> times = GelTimeMap((1, 1, 2))
     >>> times.note(np.array([[[5, 0]]], np.float32), 4.0, 10.0)
     >>> times.note(np.array([[[6, 5]]], np.float32), 4.0, 12.0)
     >>> times.lit_s, times.means().xz

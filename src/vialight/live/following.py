@@ -187,7 +187,7 @@ class _Follower:
             return
         density = sample(self._window.volume, self._places)
         before = np.isfinite(self._history.crossing_s).sum()
-        self._history = observe(self._history, density, lit_s, self._settings.threshold)
+        self._history = observe(self._history, density, lit_s, self._model.gel_share * self._settings.threshold)
         if before == 0 and not np.isfinite(self._history.crossing_s).any():
             return
         told = predict(self._model, self._history)

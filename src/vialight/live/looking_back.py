@@ -132,8 +132,8 @@ def see_again(
         density.append(float(map_coordinates(volume, at, order=1).mean()))
         gelled.note(volume, float(time_s[number]))
         inside.append(_means(volume, cubes))
-        if history is not None and watched is not None and lit_s[number] > 0:
-            history = observe(history, sample(volume, watched), float(lit_s[number]), threshold)
+        if model is not None and history is not None and watched is not None and lit_s[number] > 0:
+            history = observe(history, sample(volume, watched), float(lit_s[number]), model.gel_share * threshold)
     when, lit = time_s[looked], lit_s[looked]
     cubes_seen = InsideHistory(
         cubes, _middles(cubes, grid), _CUBE_VOXELS * grid.voxel_mm, np.array(inside, np.float32), when, lit,
