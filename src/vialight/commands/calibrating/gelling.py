@@ -11,12 +11,14 @@ from scipy.ndimage import binary_erosion
 
 from vialight.arrays import FloatArray, Volume
 from vialight.calibrate import Finding, Findings
+from vialight.commands.kinetics import REHEARSAL
 from vialight.commands.shown_light import Light, light_of
 from vialight.config import load_rig
 from vialight.errors import InputError
+from vialight.feedback import StopModel
 from vialight.kinetics import doses_over_time, mj_per_cm2
 from vialight.live import LOOKS_A_TURN, Place, see_again, times_of
-from vialight.store import open_frames, read_plan, read_volume
+from vialight.store import open_frames, read_json, read_plan, read_volume
 
 FEWEST = 50
 """Voxels within what gelled while there was light."""
@@ -114,9 +116,8 @@ def gel_doses(
         else:
             lit_s = light.lit_at(times_of(frames, rig))
             nowhere = Place((0.0, 0.0, 0.0))
-            seen = see_again(
-                frames, rig, nowhere, lit_s, rig.need_threshold(), voxel_mm=voxel_mm, progress=progress
-            )  # fmt: skip
+            level = _gel_share(run) * rig.need_threshold()
+            seen = see_again(frames, rig, nowhere, lit_s, level, voxel_mm=voxel_mm, progress=progress)
             times = Volume(seen.gel_time_s, seen.grid)
             turn_s = 360 / rig.stage.speed_deg_s
             # What is seen is the mean of the last turn, and looked at now and then.
@@ -131,6 +132,12 @@ def gel_doses(
     )
     rate = float(np.median(at / light.lit_at(when)))
     return GelDoses(at, when, rate, delay_s, delay_std_s, float(np.median(late - at)), source)
+
+
+def _gel_share(run: Path) -> float:
+    """Return the density at which a place gels, of I_p, that of finished surfaces; 1 where no rehearsal says."""
+    path = run / REHEARSAL
+    return StopModel.from_json(read_json(path)).gel_share if path.exists() else 1.0
 
 
 def _places(times: Volume, delay_s: float, light: Light, run: Path) -> tuple[FloatArray, FloatArray]:
