@@ -1,7 +1,7 @@
 """Plan parts with and without a ceiling on light, judge both as `planning` does, and print a table.
 
 Usage: ``python benchmarks/ceiling.py [--short] [--peer-python PYTHON] [--markdown docs/light-ceiling.md]``.  PYTHON is
-an interpreter that has pymeshlab, for the bunny.  Two minutes on two cores.
+an interpreter that has pymeshlab, for the bunny.  A minute on two cores.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from planning import Part, Peers, judge, optimise, parts, patterns_of
 from vialight.projections import CEILING, method_named
 
 PASSES = 20
-CEILINGS = (1.0, 0.5, CEILING, 0.15)
+CEILINGS = (1.0, CEILING)
 IRRADIANCE_MW_PER_CM2, CRITICAL_MJ_PER_CM2, SPEED_DEG_S = 60.0, 962.0, 20.0
 """Of the sample's printer and resin."""
 

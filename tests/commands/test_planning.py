@@ -203,6 +203,13 @@ def test_a_state_of_another_grid_is_refused_in_one_line(part: Path, rig: Path, t
     refused(part, rig, tmp_path, "damaged", resume=tmp_path / "state.npz")
 
 
+@pytest.mark.parametrize("voxel_mm", [0.0, -0.1, float("nan"), 1e-5, 5.0])
+def test_a_voxel_that_makes_no_sense_is_refused_in_one_line(
+    voxel_mm: float, part: Path, rig: Path, tmp_path: Path
+) -> None:
+    refused(part, rig, tmp_path, "voxel", settings=replace(COARSE, voxel_mm=voxel_mm))
+
+
 def refused(part: Path, rig: Path, folder: Path, words: str, **how: Any) -> None:
     """See that one line is all that comes of it."""
     before = written(folder)

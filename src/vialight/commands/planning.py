@@ -126,7 +126,8 @@ def _prepare(part_path: str | Path, rig: Rig, settings: PlanSettings) -> _Job:
         centre=settings.centre, where=part_path,
     )  # fmt: skip
     check_sound(placement.mesh, part_path)
-    grid = target_grid(placement.mesh, settings.voxel_mm or rig.need_projector().pixel_mm)
+    voxel_mm = rig.need_projector().pixel_mm if settings.voxel_mm is None else settings.voxel_mm
+    grid = target_grid(placement.mesh, voxel_mm)
     return _Job(rig, room, placement, grid, voxelise(placement.mesh, grid, coverage=settings.coverage))
 
 
