@@ -1,7 +1,7 @@
 """Plan parts with and without a ceiling on light, judge both as `planning` does, and print a table.
 
-Usage: ``python benchmarks/ceiling.py [--short] [--peer-python PYTHON] [--markdown docs/light-ceiling.md]``.  PYTHON is
-an interpreter that has pymeshlab, for the bunny.  A minute on two cores.
+Usage: ``python benchmarks/ceiling.py [--short] [--peer-python PYTHON]``.  PYTHON is an interpreter that has pymeshlab,
+for the bunny.  Some minutes on two cores.
 """
 
 from __future__ import annotations
@@ -39,26 +39,16 @@ def table(part: Part) -> list[str]:
 
 
 def main() -> None:
-    """Print the table, or put it into a page between its marks."""
+    """Print the table, a part at a time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--short", action="store_true", help="two small parts, for a quick look")
     parser.add_argument("--peer-python", default=sys.executable, help="interpreter that has pymeshlab")
-    parser.add_argument("--markdown", type=Path, help="the page whose table is to be replaced")
     options = parser.parse_args()
-    lines = [
-        "| part | ceiling | Jaccard | in-part range | voxel error rate | process window | light | turns |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    print("| part | ceiling | Jaccard | in-part range | voxel error rate | process window | light | turns |")
+    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
     with tempfile.TemporaryDirectory() as scratch:
         for part in parts(options.short, Peers(options.peer_python, Path(scratch)).bunny):
-            lines += table(part)
-            print("\n".join(lines[-len(CEILINGS) :]), file=sys.stderr, flush=True)
-    text = "\n".join(lines)
-    if options.markdown is None:
-        print(text)
-        return
-    before, after = options.markdown.read_text(encoding="utf-8").split("<!-- table -->")[::2]
-    options.markdown.write_text(f"{before}<!-- table -->\n\n{text}\n\n<!-- table -->{after}", encoding="utf-8")
+            print("\n".join(table(part)), flush=True)
 
 
 if __name__ == "__main__":
