@@ -26,7 +26,7 @@ def printing(folder: Path) -> Iterator[str]:
     command = [
         sys.executable, "-c", "from vialight.cli import main; main()", "print", str(plan),
         "--rig", str(rig), "--out", str(folder / "run"), "--resin", "DUDMA", "--bin", "4", "--stop", "manual",
-        "--resin-voxel", "0.4", "--voxel", "0.4", "--every-deg", "180", "--serve",
+        "--resin-voxel", "0.4", "--voxel", "0.4", "--serve",
     ]  # fmt: skip
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         try:
@@ -63,7 +63,8 @@ def test_a_print_on_the_twin_is_seen_from_start_to_report_and_stopped_on_the_way
         port = int(link.split("/#")[0].rsplit(":", 1)[1])
         with PageProcess(run, PageSettings(port=port)):  # the command has ended; `vialight serve` takes over
             wait(page, "document.getElementById('run-state').textContent === 'Done'", timeout_s=60)
-            wait(page, "document.getElementById('results-numbers').textContent.includes('RMSE, print to reference')")
+            measured = "document.getElementById('results-numbers').textContent.includes('RMSE, print to reference')"
+            wait(page, measured, timeout_s=60)  # the print is measured once it is done
             with page.context.expect_page() as report:
                 page.click("text=Open the report")
             assert "RMSE" in report.value.inner_text("main")
