@@ -44,7 +44,6 @@ DRAWS = 100
 SWEEPS = 10
 HOLDS = 20
 VIALS = 16
-AXIS_DRAWS = 60
 VIAL_KEYS = ("outer radius, mm", "index", "distance, mm")
 RIG_COLUMN = 87.3
 """Of the axis in `calibrate.wobbling`."""
@@ -190,7 +189,7 @@ def axis() -> None:
     """Print how often the uncertainties of the axis cover the truth, from a rig that is four columns off."""
     recording = recorded(Faults(axis_offset_mm=(0.3, 0.0), run_out_mm=0.15, tilt_rad=(0.005, 0.0)))
     unit = np.array([1.0, np.degrees(1.0), 1.0, 1.0])
-    fits = [axis_found(recording, off=-4.0, seed=draw).fit for draw in range(AXIS_DRAWS)]
+    fits = [axis_found(recording, off=-4.0, seed=draw).fit for draw in range(DRAWS)]
     true = (AXIS_COLUMN, 0.005, 0.15, 0.0)  # in the fit's units: the tilt in rad
     rows = zip(("axis, columns", "tilt, deg", "run-out x, mm", "run-out y, mm"), (4, 4, 5, 5), true, strict=True)
     _covered_head()
