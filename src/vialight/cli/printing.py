@@ -58,7 +58,8 @@ def print_command(
       vialight print plan.h5 --rig orth2022-190 --out run --stop turns=17 --rate 4 --serve
     """
     with faults_told():
-        from vialight.commands.printing import LiveOptions, Simulation, print_part
+        from vialight.commands.print_job import LiveOptions, Simulation
+        from vialight.commands.printing import print_part
         from vialight.printing import stop_settings
         from vialight.twin import TwinSettings
 

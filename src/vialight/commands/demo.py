@@ -11,7 +11,8 @@ from typing import Any
 from vialight.commands.measuring import measure_surface, reconstruct_recording
 from vialight.commands.plan_settings import PlanSettings
 from vialight.commands.planning import plan_part
-from vialight.commands.printing import RUN, LiveOptions, Simulation, print_part
+from vialight.commands.print_job import RUN, LiveOptions, Simulation
+from vialight.commands.printing import print_part
 from vialight.links import PrintStatus
 from vialight.pipeline import Progress
 from vialight.store import read_json

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vialight.arrays import TURN_RAD
-from vialight.commands.printing import LiveOptions
+from vialight.commands.print_job import LiveOptions
 from vialight.config import Rig, load_rig
 from vialight.devices import SimulatedClock
 from vialight.devices.replay import ReplayCamera, ReplayStage
@@ -56,7 +56,7 @@ def watch_run(
     out
         Folder for what is measured on the way, as a print keeps it: volumes, surfaces, history; by default none is.
     threshold, voxel_mm, every_deg
-        See `vialight.commands.printing.LiveOptions`.
+        See `vialight.commands.print_job.LiveOptions`.
     serve
         Show it in a browser.
     keep_going
