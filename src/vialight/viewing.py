@@ -132,11 +132,15 @@ def pixels_in_reach(
     edge = radius_mm if optics is None else min(radius_mm, EDGE_MARGIN * optics.field_radius_mm)
     # Seen height changes from the axis to the edge all one way.
     column, row, _ = pixels_of(np.array([-edge, 0.0, edge]), np.array([[low_mm], [high_mm]]), camera, optics)
-    left, right = int(np.floor(column.min())) - 1, int(np.ceil(column.max())) + 2
-    top, bottom = int(np.floor(row.min())) - 1, int(np.ceil(row.max())) + 2
-    return slice(min(max(top, 0), rows), max(min(bottom, rows), 0)), slice(
-        min(max(left, 0), columns), max(min(right, columns), 0)
-    )
+    return _span(row, rows), _span(column, columns)
+
+
+def _span(places: FloatArray, count: int) -> slice:
+    """Return the pixels of `count` that hold all places and one more to either side; all where a place has no ray."""
+    if not np.isfinite(places).all():
+        return slice(0, count)
+    first, stop = int(np.floor(places.min())) - 1, int(np.ceil(places.max())) + 2
+    return slice(min(max(first, 0), count), max(min(stop, count), 0))
 
 
 def pixel_rays(
