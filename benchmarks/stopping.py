@@ -241,8 +241,7 @@ class Course:
         rig = believed.model_copy(update={"camera": camera})
         frames = [self.twin.frame(of_the_empty_vial=True) for _ in range(DARK_FRAMES)]
         dark = np.mean([frame.counts for frame in frames if frame], axis=0)
-        gel_point = np.array([prepared.resin.chemistry.gel_conversion], np.float32)
-        threshold = upset.threshold * BINNING**2 * float(prepared.resin.scattering.density(gel_point)[0])
+        threshold = upset.threshold * BINNING**2 * prepared.resin.gel_density
         grid = grid_round(prepared.plan.reference, camera.pixel_mm / 2, margin_mm=0.6)
         return SlidingWindow(
             rig, self.twin.image_shape, FRAMES_A_TURN, dark=dark.astype(np.float32), threshold=threshold, grid=grid

@@ -6,7 +6,6 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -28,8 +27,7 @@ def print_runs(folder: Path) -> None:
     """Print one plan twice, in coarse voxels."""
     plan, rig = write_quick_plan(folder)
     resin = load_resin("DUDMA")
-    gelled = resin.scattering.density(np.array([resin.chemistry.gel_conversion], np.float32))
-    threshold = {"resin": {"threshold": float(gelled[0]) * BINNING**2}}
+    threshold = {"resin": {"threshold": resin.gel_density * BINNING**2}}
     for name, (irradiance, turns) in IRRADIANCES.items():
         dimmed = changed_rig(quick_rig(), {"projector": {"irradiance_mw_per_cm2": irradiance}}, "test")
         rig.write_text(rig_to_toml(dimmed))

@@ -202,9 +202,8 @@ def test_what_is_simulated_is_reconstructed_as_it_was(plan_path: Path, printer: 
     pixel_mm = result["truth"]["heights"]["pixel_mm"]
     assert np.nansum(heights) * pixel_mm**2 == pytest.approx(result["truth"]["volume_mm3"], rel=0.1)
     # The density at the gel point, in binned pixels: far from half of that of cured resin.
-    scattering = RESIN.scattering
-    threshold = 4 * float(scattering.density(np.array([RESIN.chemistry.gel_conversion], np.float32))[0])
-    assert threshold < 0.6 * 4 * scattering.counts_per_mm / 2
+    threshold = 4 * RESIN.gel_density
+    assert threshold < 0.6 * 4 * RESIN.scattering.counts_per_mm / 2
     run, seen = tmp_path / "run", tmp_path / "seen"
     reconstruct_recording(
         run / "frames.h5", run / "rig.toml", seen, settings=Settings(voxel_mm=0.15), threshold=threshold

@@ -136,8 +136,7 @@ class PrintJob:
         """Return the job with the rehearsal's I_p, where neither rig nor user gives one."""
         if self.rig.resin.threshold is not None or self.live.threshold is not None:
             return self
-        gelled = self.resin.scattering.density(np.array([self.resin.chemistry.gel_conversion], np.float32))
-        threshold = float(gelled[0]) / model.gel_share * self.simulation.binning**2
+        threshold = self.resin.gel_density / model.gel_share * self.simulation.binning**2
         resin = self.recorded.resin.model_copy(update={"threshold": threshold})
         return replace(self, recorded=self.recorded.model_copy(update={"resin": resin}))
 

@@ -71,14 +71,14 @@ class Rehearsal:
         Lit time at which the light should go off.
     rmse_mm
         What the two-sided RMSE then is.
-    surface_density
-        Of the live volume on the finished part's surface, the mean: I_p, as a calibration finds it.
+    at_stop
+        The resin's state at about that time.
     """
 
     crossing_s: FloatArray = field(repr=False)
     stop_s: float
     rmse_mm: float
-    surface_density: float
+    at_stop: Cure = field(repr=False)
 
 
 class Rehearser:
@@ -151,7 +151,7 @@ class Rehearser:
         resin = replace(
             resin, chemistry=replace(resin.chemistry, sensitivity=sensitivity * resin.chemistry.sensitivity)
         )
-        threshold = self.gel_density
+        threshold = self._resin.gel_density  # of what is believed in, whatever is in the vial
         a_turn = max(1, round(self.turn_s / _LOOK_S))
         state, lit_s = fresh(self.grid, resin.chemistry), 0.0
         looks: list[Float32Array] = []
@@ -175,16 +175,7 @@ class Rehearser:
             raise InputError("resin", "does not gel in the rehearsal", remedy="check irradiance and absorption")
         stop_s, rmse_mm = self._best(kept, resin)
         at_stop = min(kept, key=lambda moment: abs(moment[0] - stop_s))[1]
-        return Rehearsal(
-            crossings_s(np.array(looks), _LOOK_S, a_turn, threshold), stop_s, rmse_mm,
-            self._surface_density(at_stop, resin),
-        )  # fmt: skip
-
-    @property
-    def gel_density(self) -> float:
-        """Density at the gel point of the resin that is believed in."""
-        gel_point = np.array([self._resin.chemistry.gel_conversion], np.float32)
-        return float(self._resin.scattering.density(gel_point)[0])
+        return Rehearsal(crossings_s(np.array(looks), _LOOK_S, a_turn, threshold), stop_s, rmse_mm, at_stop)
 
     def final_rmse_mm(self, state: Cure, resin: ResinModel) -> float:
         """Return the two-sided RMSE after the dark cure, if the light goes off now; infinite where nothing gels."""
@@ -193,21 +184,19 @@ class Rehearser:
             return float("inf")
         return self.design.rmse_mm(gelled_surface(finished.conversion, self.grid, resin.chemistry.gel_conversion))
 
+    def surface_density(self, state: Cure, resin: ResinModel) -> float:
+        """Return I_p, as a calibration finds it: the mean of the live volume on the finished part's surface."""
+        conversion = self._finished(state, resin).conversion
+        surface = gelled_surface(conversion, self.grid, resin.chemistry.gel_conversion)
+        z, y, x = ((surface.vertices_mm[:, ::-1] - np.array(self.grid.origin_mm)) / self.grid.voxel_mm).T
+        return float(map_coordinates(self._blurred(resin, conversion), [y, x, z], order=1, mode="nearest").mean())
+
     def _finished(self, state: Cure, resin: ResinModel) -> Cure:
         """Return what becomes of a state in the dark."""
         dark = np.zeros_like(self.mj_per_s)
         for _ in range(int(np.ceil(_DARK_LIFETIMES / resin.chemistry.radical_decay_per_s / _DARK_STEP_S))):
             state = self._cured(state, resin, dark, _DARK_STEP_S)
         return state
-
-    def _surface_density(self, state: Cure, resin: ResinModel) -> float:
-        conversion = self._finished(state, resin).conversion
-        surface = gelled_surface(conversion, self.grid, resin.chemistry.gel_conversion)
-        x, y, z = self.grid.x_mm[0], self.grid.y_mm[0], self.grid.z_mm[0]
-        at = (surface.vertices_mm - [x, y, z]) / self.grid.voxel_mm
-        return float(
-            map_coordinates(self._blurred(resin, conversion), at[:, [1, 0, 2]].T, order=1, mode="nearest").mean()
-        )
 
     def _cured(self, state: Cure, resin: ResinModel, mj_per_s: Float32Array, duration_s: float) -> Cure:
         dose = mj_per_s * np.float32(duration_s)

@@ -84,7 +84,7 @@ def stop_model_for(
         ),
         turn_s=rehearser.turn_s,
         waiting_s=waiting_s(plan, rehearser.rig, rehearser.grid, rehearser.near_surface),
-        gel_share=rehearser.gel_density / nominal.surface_density,
+        gel_share=resin.gel_density / rehearser.surface_density(nominal.at_stop, resin),
     )
 
 

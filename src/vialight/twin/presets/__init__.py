@@ -8,6 +8,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from vialight.config import Resin, Rig, load_rig, read_toml
@@ -43,6 +44,11 @@ class ResinModel:
         """Napierian absorption at the writing wavelength."""
         assert self.optical.absorption_per_mm is not None  # load_resin has seen to it
         return self.optical.absorption_per_mm
+
+    @property
+    def gel_density(self) -> float:
+        """Scattering density at the gel point, counts of an unbinned pixel per mm."""
+        return float(self.scattering.density(np.array([self.chemistry.gel_conversion], np.float32))[0])
 
 
 def resin_names() -> list[str]:
