@@ -178,6 +178,8 @@ class _Scan:
         self._track = StageTrack()
         self._darks: list[NDArray[np.uint16]] = []
         self._image: CameraImage | None = None
+        self._begun_rad: float | None = None
+        self._turned_rad = 0.0
         log = EventLog(out.with_suffix(".log.jsonl"), self._clock)
         rate_hz = settings.frame_rate_hz
         self._recorder = Recorder(self._camera, self._clock, rate_hz, self._track.settled_angle_at, log, self._see)
@@ -223,15 +225,12 @@ class _Scan:
         }  # fmt: skip
         missed = self._recorder.missed
         self._recorder.write_to(FrameWriter(self._out, self._camera.image_shape, dark=darks, settings=known))
-        first, begun = self._angle(), time.monotonic()
-        # A frame more, so that its ends meet.
-        to_turn = self._settings.turns * TURN_RAD + self._speed / self._settings.frame_rate_hz
+        begun, to_turn = time.monotonic(), self._settings.turns * TURN_RAD
         fault = None
-        while self._keep_going() and fault is None and abs(self._angle() - first) < to_turn:
+        while self._keep_going() and fault is None and self._turned_rad < to_turn:
             time.sleep(_TICK_S)
             fault = self._fault()
             progress(self._recorder.written, self._expected())
-        turned = abs(self._angle() - first)
         frames = self._recorder.written
         self._recorder.write_to(None)
         if fault is not None:
@@ -241,8 +240,8 @@ class _Scan:
             raise InputError(self._out, "holds no frame", remedy="let it record for longer")
         return {
             "file": str(self._out), "frames": frames, "frames_missed": self._recorder.missed - missed,
-            "turns": round(turned / TURN_RAD, 4), "dark_frames": 0 if darks is None else len(darks),
-            "is_complete": bool(turned >= to_turn), "image_shape": list(self._camera.image_shape),
+            "turns": round(self._turned_rad / TURN_RAD, 4), "dark_frames": 0 if darks is None else len(darks),
+            "is_complete": self._turned_rad >= to_turn, "image_shape": list(self._camera.image_shape),
             "elapsed_s": round(time.monotonic() - begun, 3), "versions": versions(),
         } | {name: known[name] for name in ("camera", "exposure_s", "frame_rate_hz")}  # fmt: skip
 
@@ -260,10 +259,11 @@ class _Scan:
         self._image = image
         if len(self._darks) < self._settings.dark_frames:
             self._darks.append(image.counts)
-
-    def _angle(self) -> float:
-        newest = self._track.newest()
-        return math.nan if newest is None else newest.angle_rad
+        if image.frame >= 0:
+            # What counts is what is in the file: a frame comes some time after the stage has been there.
+            angle_rad = math.radians(image.angle_deg)
+            self._begun_rad = angle_rad if self._begun_rad is None else self._begun_rad
+            self._turned_rad = max(self._turned_rad, abs(angle_rad - self._begun_rad))
 
     def _is_up_to_speed(self) -> bool:
         return abs(abs(self._track.speed_rad_s()) / self._speed - 1) < _SPEED_TOLERANCE
