@@ -240,6 +240,48 @@ def test_patterns_are_exported_as_images(plan: Path, tmp_path: Path) -> None:
     assert len(list((tmp_path / "patterns").glob("*.png"))) == 60
 
 
+def test_patterns_are_exported_as_a_video(plan: Path, tmp_path: Path) -> None:
+    done = run("export", plan, "--out", tmp_path / "patterns.mp4", "--turns", 1)
+    assert done.returncode == 0, done.stderr
+    assert b"ftyp" in (tmp_path / "patterns.mp4").read_bytes()[:16]
+
+
+def test_projections_of_another_program_become_a_plan(tmp_path: Path) -> None:
+    np.save(tmp_path / "given.npy", np.ones((60, 20, 40), np.float32))
+    done = run(
+        "plan", SAMPLE / "part.stl", "--rig", SAMPLE / "printer.toml", "--out", tmp_path / "plan.h5", "--voxel", 0.4,
+        "--projections", tmp_path / "given.npy", "--axes", "angle,row,column", "--span", 360,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "60 patterns of" in done.stdout
+    assert {path.name for path in tmp_path.iterdir()} == {"given.npy", "plan.h5", "plan.json", "plan.html"}
+
+
+@pytest.mark.parametrize("fault", ["cut short", "not a number"])
+def test_damaged_projections_get_one_line(fault: str, tmp_path: Path) -> None:
+    given = tmp_path / "given.npy"
+    np.save(given, np.full((60, 20, 40), 1.0 if fault == "cut short" else np.nan, np.float32))
+    given.write_bytes(given.read_bytes()[: 5000 if fault == "cut short" else None])
+    done = run(
+        "plan", SAMPLE / "part.stl", "--rig", SAMPLE / "printer.toml", "--out", tmp_path / "plan.h5", "--voxel", 0.4,
+        "--projections", given, "--axes", "angle,row,column", "--span", 360,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert str(given) in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["given.npy"]
+
+
+def test_a_plan_goes_on_from_a_saved_state(plan: Path, tmp_path: Path) -> None:
+    asked: list[object] = ["--rig", SAMPLE / "printer.toml", "--voxel", 0.4, "--angles", 60, "--passes", 6, "--json"]
+    part = SAMPLE / "part.stl"
+    gone_on = run("plan", part, *asked, "--resume", plan.with_name("state.npz"), "--out", tmp_path / "gone_on.h5")
+    at_once = run("plan", part, *asked, "--out", tmp_path / "at_once.h5")
+    found, expected = (json.loads(done.stdout)["metrics"] for done in (gone_on, at_once))
+    assert found["passes"] == expected["passes"]
+    assert found["in_part_dose_range"] == pytest.approx(expected["in_part_dose_range"], rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

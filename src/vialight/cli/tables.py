@@ -75,7 +75,9 @@ def plan_lines(result: dict[str, Any], out: Path | None) -> list[str]:
     if out is None:
         return lines
     count, height, width = result["patterns"]["shape"]
-    lines.append(f"{count} patterns of {height} x {width} pixels after {metrics['passes']} passes: {out}")
+    # Patterns that were given took no passes.
+    made = f" after {metrics['passes']} passes" if "passes" in metrics else ""
+    lines.append(f"{count} patterns of {height} x {width} pixels{made}: {out}")
     return [*lines, f"report: {out.with_suffix('.html')}"]
 
 

@@ -140,7 +140,7 @@ def _read_array(path: Path, name: str | None) -> NDArray[Any]:
         if len(names) != 1 or names[0] not in loaded.files:
             raise InputError(
                 path, f"holds the arrays {', '.join(loaded.files) or 'none'}",
-                accepted="one with three axes", remedy="say which by its name",
+                accepted="one with three axes", remedy="save by itself the one that is meant",
             )  # fmt: skip
         return np.asarray(loaded[names[0]])
 
