@@ -51,7 +51,7 @@ def main() -> None:
     # Five pages that draw 400 000 triangles each by processor are more than two cores can do; five that do not are not.
     with (
         tempfile.TemporaryDirectory() as name,
-        chromium("--disable-3d-apis") as browser,
+        chromium("--disable-gpu", "--disable-software-rasterizer") as browser,
         printing(Path(name) / "five") as (client, key, run),
     ):
         browser_pages(browser, client, key, run, 5, ", their 3-D view off")

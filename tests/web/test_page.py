@@ -120,6 +120,25 @@ def test_the_surface_is_drawn_in_the_colours_of_its_deviation_and_can_be_cut(liv
     live.select_option("#clip-axis", "")
 
 
+def test_a_click_reads_the_deviation_and_keys_turn_the_surface(live: Page) -> None:
+    seen = _settled(live, "#surface-canvas")
+    rows, columns = np.nonzero(_blue(seen))
+    place = len(rows) // 2
+    # The notice gives way to the next surface's: watch it.
+    live.evaluate("""() => { window.told = []; new MutationObserver(() => {
+        window.told.push(document.getElementById("surface-notice").textContent);
+    }).observe(document.getElementById("surface-notice"), { childList: true }); }""")
+    live.click("#surface-canvas", position={"x": float(columns[place]), "y": float(rows[place])})
+    told = wait(live, r"window.told.find((text) => / mm at \(.*\) mm$/.test(text))")
+    assert told.startswith("\u22121.")  # the ring is too small by more than a millimetre
+    for _ in range(8):
+        live.press("#surface-canvas", "ArrowUp")
+    deadline = time.monotonic() + 15
+    while np.abs(pixels(live, "#surface-canvas").astype(int) - seen).mean() < 1:
+        assert time.monotonic() < deadline, "it does not turn"
+    live.click("#surface-reset")
+
+
 def _blue(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray(picture[..., 2].astype(int) - picture[..., 0] > 60)
 

@@ -1,49 +1,47 @@
 // The measured surface in 3-D, coloured by its deviation, the reference as a ghost around it, and a plane that cuts.
+//
+// Here is what the user does and reads; scene.js draws it.
 
 import * as THREE from "../vendor/three.module.min.js";
 import { OrbitControls } from "../vendor/OrbitControls.js";
 import { deviation as COLOURS, drawRamp, roundUp } from "./colours.js";
 import { $, number, signed } from "./text.js";
 
-const AXES = { x: new THREE.Vector3(-1, 0, 0), y: new THREE.Vector3(0, -1, 0), z: new THREE.Vector3(0, 0, -1) };
+const AXES = { x: [-1, 0, 0], y: [0, -1, 0], z: [0, 0, -1] };
 const START = new THREE.Vector3(1, -1.5, 1).normalize();
 
 export class SurfaceView {
   constructor(canvas, ramp) {
-    Object.assign(this, { canvas, ramp, limitMm: null, isPlaced: false, cut: 0.5 });
-    try {
-      this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !isSoftware() });
-    } catch {
-      $("surface-notice").textContent = "This browser has no WebGL: the surface cannot be shown.";
-      return;
-    }
-    this.renderer.localClippingEnabled = true;
-    this.renderer.setClearColor(0x0b0e13);
-    this.scene = new THREE.Scene();
+    Object.assign(this, { canvas, ramp, isPlaced: false, canDraw: true });
+    [this.solidBox, this.ghostBox] = [new THREE.Box3(), new THREE.Box3()];
     this.camera = new THREE.PerspectiveCamera(35, 4 / 3, 0.1, 1000);
     this.camera.up.set(0, 0, 1);
     this.camera.position.copy(START).multiplyScalar(50);
-    const light = new THREE.DirectionalLight(0xffffff, 1.6);
-    light.position.set(-0.3, 0.6, 1);
-    this.camera.add(light);
-    this.scene.add(this.camera, new THREE.HemisphereLight(0xffffff, 0x667088, 1.7));
-    this.plane = new THREE.Plane(AXES.z.clone(), 0);
+    this.begin();
     this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.addEventListener("change", () => this.ask());
-    this.solid = this.mesh(new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide }));
-    this.ghost = this.mesh(new THREE.MeshLambertMaterial({
-      color: 0xd5def0, transparent: true, opacity: 0.22, depthWrite: false, side: THREE.DoubleSide }));
-    this.ghost.renderOrder = 1;
-    new ResizeObserver(() => this.ask()).observe(canvas);
+    this.controls.addEventListener("change", () => this.look());
+    new ResizeObserver(() => this.look()).observe(canvas);
     this.listen();
   }
 
-  mesh(material) {
-    const made = new THREE.Mesh(new THREE.BufferGeometry(), material);
-    made.visible = false;
-    made.frustumCulled = false;
-    this.scene.add(made);
-    return made;
+  begin() {
+    if (!this.canvas.transferControlToOffscreen) {
+      this.failed();
+      return;
+    }
+    this.artist = new Worker(new URL("scene.js", import.meta.url), { type: "module" });
+    this.artist.onmessage = ({ data }) => this[data.hear](data);
+    const canvas = this.canvas.transferControlToOffscreen();
+    this.artist.postMessage({ do: "begin", canvas }, [canvas]);
+  }
+
+  failed() {
+    this.tell("This browser has no WebGL for it: the surface cannot be shown.");
+    this.canDraw = false;
+  }
+
+  draw(what, given = {}) {
+    if (this.canDraw) this.artist.postMessage({ do: what, ...given });
   }
 
   listen() {
@@ -61,99 +59,66 @@ export class SurfaceView {
   }
 
   reset() {
-    if (!this.renderer) return;
     this.isPlaced = false;
     this.header = null;
-    this.solid.visible = this.ghost.visible = false;
     this.hasGhost = false;
+    this.solidBox.makeEmpty();
+    this.ghostBox.makeEmpty();
     $("surface-numbers").textContent = "";
-    $("surface-notice").textContent = "No surface yet.";
-    this.ask();
-  }
-
-  geometry({ header, arrays }) {
-    const { values } = arrays.vertices;
-    const points = new Float32Array(values.length);
-    const [low, extent] = [header.low_mm, header.extent_mm.map((size) => size / 65535)];
-    for (let index = 0; index < points.length; index += 3) {
-      points[index] = low[0] + values[index] * extent[0];
-      points[index + 1] = low[1] + values[index + 1] * extent[1];
-      points[index + 2] = low[2] + values[index + 2] * extent[2];
-    }
-    const made = new THREE.BufferGeometry();
-    made.setAttribute("position", new THREE.BufferAttribute(points, 3));
-    made.setAttribute("normal", new THREE.BufferAttribute(arrays.normals.values, 3, true));
-    made.setIndex(new THREE.BufferAttribute(arrays.faces.values, 1));
-    return made;
-  }
-
-  swap(mesh, message) {
-    mesh.geometry.dispose();
-    mesh.geometry = this.geometry(message);
+    this.tell("No surface yet.");
+    this.draw("reset");
   }
 
   showReference(message) {
-    if (!this.renderer) return;
-    this.swap(this.ghost, message);
-    this.ghost.geometry.computeBoundingBox();
+    this.ghostBox = boxOf(message.header);
     this.hasGhost = true;
+    this.draw("showReference", { message });
     this.showGhost();
     if (!this.isPlaced) this.place();
   }
 
   showGhost() {
-    this.ghost.visible = Boolean(this.hasGhost) && $("ghost").checked;
-    this.ask();
+    this.draw("showGhost", { isWanted: Boolean(this.hasGhost) && $("ghost").checked });
   }
 
   show(message) {
-    if (!this.renderer) return;
     this.header = message.header;
-    this.deviation = message.arrays.deviation?.values ?? null;
     const isEmpty = !message.arrays.faces.values.length;
-    this.solid.visible = !isEmpty;
     const coarser = message.header.simplified ? "Shown coarser than it was measured." : "";
     this.tell(isEmpty ? "Nothing has gelled yet." : coarser);
+    this.draw("show", { message, limitMm: this.limitMm() });
+    this.solidBox = isEmpty ? new THREE.Box3() : boxOf(message.header);
     if (!isEmpty) {
-      this.swap(this.solid, message);
-      this.solid.geometry.computeBoundingBox();
-      this.paint();
+      this.drawScale();
       if (!this.isPlaced) this.place();
     }
     this.clip();
   }
 
   tell(text) {
-    $("surface-notice").textContent = text;
+    if (this.canDraw) $("surface-notice").textContent = text;
   }
 
-  // Colour the vertices; the scale is the user's, or follows the 99 % quantile in steps of 1, 2, 5.
+  // What the colours end at: the user's choice, or the 99 % quantile in steps of 1, 2, 5.
+  limitMm() {
+    return Number($("limit").value) || roundUp(this.header?.limit_mm ?? 0.1);
+  }
+
   paint() {
-    const limit = Number($("limit").value) || roundUp(this.header?.limit_mm ?? 0.1);
+    this.drawScale();
+    this.draw("paint", { limitMm: this.limitMm() });
+  }
+
+  drawScale() {
+    const limit = this.limitMm();
     const sign = "\u2212";
     drawRamp(this.ramp, COLOURS, `${sign}${limit} mm, missing`, `+${limit} mm, too much`, "0");
     const ends = [`${sign}${limit} mm, blue, material is missing`, `+${limit} mm, red`];
     this.ramp.setAttribute("aria-label", `Deviation from ${ends.join(" to ")}`);
-    if (!this.header || !this.solid?.geometry.attributes.position) return;
-    const count = this.solid.geometry.attributes.position.count;
-    const colours = new Uint8Array(3 * count).fill(190);
-    if (this.deviation) {
-      const scale = this.header.deviation_unit_mm / limit * 127.5;
-      for (let index = 0; index < count; index += 1) {
-        const level = 3 * Math.round(Math.min(255, Math.max(0, 127.5 + this.deviation[index] * scale)));
-        colours[3 * index] = LINEAR[COLOURS[level]];
-        colours[3 * index + 1] = LINEAR[COLOURS[level + 1]];
-        colours[3 * index + 2] = LINEAR[COLOURS[level + 2]];
-      }
-    }
-    this.solid.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3, true));
-    this.ask();
   }
 
   bounds() {
-    const box = new THREE.Box3();
-    for (const mesh of [this.ghost, this.solid]) if (mesh.geometry.boundingBox) box.union(mesh.geometry.boundingBox);
-    return box;
+    return this.ghostBox.clone().union(this.solidBox);
   }
 
   place() {
@@ -166,7 +131,7 @@ export class SurfaceView {
     [this.camera.near, this.camera.far] = [distance / 100, distance * 10];
     this.camera.updateProjectionMatrix();
     this.controls.update();
-    this.ask();
+    this.look();
   }
 
   // How far the camera must be to have all corners of a box in its picture.
@@ -184,19 +149,18 @@ export class SurfaceView {
   }
 
   clip() {
-    if (!this.renderer) return;
     const axis = $("clip-axis").value;
-    $("clip-at").disabled = !axis;
-    for (const mesh of [this.solid, this.ghost]) mesh.material.clippingPlanes = axis ? [this.plane] : null;
     const box = this.bounds();
-    if (axis && !box.isEmpty()) {
-      const share = Number($("clip-at").value) / 1000;
-      const at = box.min[axis] + share * (box.max[axis] - box.min[axis]);
-      this.plane.normal.copy(AXES[axis]);
-      this.plane.constant = at;
-      $("clip-value").textContent = `${axis} = ${number(at)} mm`;
-    } else $("clip-value").textContent = "";
-    this.ask();
+    $("clip-at").disabled = !axis;
+    if (!axis || box.isEmpty()) {
+      $("clip-value").textContent = "";
+      this.draw("clip", { normal: null });
+      return;
+    }
+    const share = Number($("clip-at").value) / 1000;
+    const at = box.min[axis] + share * (box.max[axis] - box.min[axis]);
+    $("clip-value").textContent = `${axis} = ${number(at)} mm`;
+    this.draw("clip", { normal: AXES[axis], constant: at });
   }
 
   press(event) {
@@ -216,83 +180,39 @@ export class SurfaceView {
     offset.setFromSpherical(place).applyQuaternion(up.invert());
     this.camera.position.copy(this.controls.target).add(offset);
     this.controls.update();
-    this.ask();
+    this.look();
   }
 
-  // Tell the deviation where the user clicked.
+  // Ask for the deviation where the user clicked.
   read(event) {
-    if (!this.solid.visible || !this.deviation) return;
     const area = this.canvas.getBoundingClientRect();
-    const across = (event.clientX - area.left) / area.width;
-    const down = (event.clientY - area.top) / area.height;
-    const caster = new THREE.Raycaster();
-    caster.setFromCamera(new THREE.Vector2(2 * across - 1, 1 - 2 * down), this.camera);
-    const isCut = this.solid.material.clippingPlanes;
-    const isSeen = ({ point }) => !isCut || this.plane.distanceToPoint(point) >= 0;
-    const hit = caster.intersectObject(this.solid).find(isSeen);
-    if (!hit) return;
-    const value = this.deviation[hit.face.a] * this.header.deviation_unit_mm;
-    const place = ["x", "y", "z"].map((axis) => number(hit.point[axis], 1)).join(", ");
-    this.tell(`${signed(value)} mm at (${place}) mm`);
+    const [across, down] = [(event.clientX - area.left) / area.width, (event.clientY - area.top) / area.height];
+    this.draw("read", { right: 2 * across - 1, up: 1 - 2 * down });
   }
 
-  // Draw once, when the browser is about to show the next picture; but never before the graphics processor is done with
-  // the last one and has rested as long, so that a slow one does not hold up the rest of the page.
-  ask() {
-    if (!this.renderer || this.isAsked) return;
-    this.isAsked = true;
-    this.wait(() => requestAnimationFrame(() => {
-      this.isAsked = false;
-      this.draw();
-    }));
+  found({ deviationMm, pointMm }) {
+    this.tell(`${signed(deviationMm)} mm at (${pointMm.map((value) => number(value, 1)).join(", ")}) mm`);
   }
 
-  wait(then) {
-    const context = this.renderer.getContext();
-    if (this.fence) {
-      const state = context.clientWaitSync(this.fence, 0, 0);
-      if (state === context.TIMEOUT_EXPIRED && !context.isContextLost()) {
-        setTimeout(() => this.wait(then), 15);
-        return;
-      }
-      context.deleteSync(this.fence);
-      this.fence = null;
-      this.restUntil = 2 * performance.now() - this.drawnAt;
-    }
-    const restMs = Math.min((this.restUntil ?? 0) - performance.now(), 2000);
-    if (restMs > 20) setTimeout(then, restMs);
-    else then();
-  }
-
-  draw() {
-    const { clientWidth: width, clientHeight: height } = this.canvas;
-    if (!width || !height) return;
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
-    if (this.canvas.width !== Math.round(width * ratio) || this.canvas.height !== Math.round(height * ratio)) {
-      this.renderer.setPixelRatio(ratio);
-      this.renderer.setSize(width, height, false);
+  // Show what the camera sees now, once before the browser's next picture.
+  look() {
+    if (this.isLooking) return;
+    this.isLooking = true;
+    requestAnimationFrame(() => {
+      this.isLooking = false;
+      const { clientWidth: width, clientHeight: height } = this.canvas;
+      if (!width || !height) return;
       this.camera.aspect = width / height;
-      this.camera.updateProjectionMatrix();
-    }
-    this.drawnAt = performance.now();
-    this.renderer.render(this.scene, this.camera);
-    const context = this.renderer.getContext();
-    this.fence = context.fenceSync(context.SYNC_GPU_COMMANDS_COMPLETE, 0);
-    context.flush();
+      const { position, quaternion, fov, aspect, near, far } = this.camera;
+      this.draw("look", {
+        position: position.toArray(), quaternion: quaternion.toArray(), fov, aspect, near, far,
+        size: { width, height, ratio: Math.min(window.devicePixelRatio || 1, 2) } });
+    });
   }
 }
 
-// Whether there is no graphics processor: smooth edges are then too dear.
-function isSoftware() {
-  const context = document.createElement("canvas").getContext("webgl2");
-  const about = context?.getExtension("WEBGL_debug_renderer_info");
-  const name = about ? context.getParameter(about.UNMASKED_RENDERER_WEBGL) : "";
-  context?.getExtension("WEBGL_lose_context")?.loseContext();
-  return /swiftshader|llvmpipe|software/i.test(name);
+// What a surface's header says of its extent.
+function boxOf({ low_mm: low, extent_mm: extent }) {
+  const corner = new THREE.Vector3(...low);
+  return new THREE.Box3(corner, corner.clone().add(new THREE.Vector3(...extent)));
 }
-
-// Vertex colours are linear light to three.js.
-const LINEAR = Uint8Array.from({ length: 256 }, (_, level) => {
-  const value = level / 255;
-  return Math.round(255 * (value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4));
-});
