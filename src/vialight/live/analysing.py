@@ -51,10 +51,8 @@ def analyse(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
 
 
 class _Seen(NamedTuple):
-    """A volume as it was when it was looked at, and what was found."""
+    """When the volume was looked at, and what was found."""
 
-    density: Float32Array
-    """(z, y, x), the region."""
     moment: Moment
     found: Measured
 
@@ -70,8 +68,6 @@ class _Analyst:
         self._grid = measured_grid(shared.grid)
         self._against = None if settings.reference is None else yardstick(settings.reference, self._grid)
         self._gel_times = GelTimeMap(shared.grid.shape)
-        z, y, x = shared.grid.shape
-        self._density: Float32Array = np.empty((y, x, z), np.float32).transpose(2, 0, 1)  # voxels in the same order
         self._series: VolumeSeriesWriter | None = None
         if settings.every_deg is not None:
             with contextlib.suppress(InputError):  # as in `measure_next`
@@ -86,17 +82,21 @@ class _Analyst:
         moment = self._shared.wait_for_moment(_WAIT_S)
         if moment is None:
             return False
-        # The other process changes the volume meanwhile.
-        density = self._density
-        np.copyto(density, self._shared.density)
+        density = self._shared.density
+        # Copies: the other process changes the volume meanwhile.
+        due = self._settings.kept_by(moment.turned_rad)
+        whole = density.copy(order="K") if due > self._kept else None
+        volume = coarsened(Volume(density, self._shared.grid), self._grid)
         if moment.lit_s > 0:
             self._gel_times.note(density, self._settings.threshold, moment.lit_s)
-        volume = coarsened(Volume(density, self._shared.grid), self._grid)
-        self._last = seen = _Seen(density, moment, measure(volume, self._settings.threshold, self._against))
+        self._last = seen = _Seen(moment, measure(volume, self._settings.threshold, self._against))
         told = self._told(seen)
         self._surfaces.put(told)
         with contextlib.suppress(InputError):  # a full disk: the recorder tells; what is shown needs no disk
-            self._keep(seen, told)
+            self._keep(told)
+            if whole is not None:
+                self._kept = due
+                self._keep_whole(seen, whole)
         self._shared.done()
         return True
 
@@ -105,11 +105,11 @@ class _Analyst:
         kept_s = [-np.inf] if self._series is None else self._series.moments.get("time_s", [-np.inf])
         if self._last is not None and self._last.moment.time_s > kept_s[-1]:
             with contextlib.suppress(InputError):
-                self._keep_whole(self._last)
+                self._keep_whole(self._last, self._shared.density)
         np.save(self._settings.run / "gel_time_s.npy", self._gel_times.lit_s)
 
     def _told(self, seen: _Seen) -> SurfaceSnapshot:
-        density, moment, found = seen
+        (moment, found), density = seen, self._shared.density
         forecast = self._forecasts.newest()
         surface = found.surface
         return SurfaceSnapshot(
@@ -123,23 +123,19 @@ class _Analyst:
             forecast=None if forecast is None else forecast[1],
         )  # fmt: skip
 
-    def _keep(self, seen: _Seen, told: SurfaceSnapshot) -> None:
-        """Add to the history; once in a while keep surface and volume too."""
+    def _keep(self, told: SurfaceSnapshot) -> None:
+        """Add to the history."""
         newest = self._snapshots.newest()
         if newest is not None:
             write_history(self._settings.run, newest[1], told)
-        due = self._settings.kept_by(seen.moment.turned_rad)
-        if due > self._kept:
-            self._kept = due
-            self._keep_whole(seen)
 
-    def _keep_whole(self, seen: _Seen) -> None:
-        """Keep the volume and its surface."""
+    def _keep_whole(self, seen: _Seen, density: Float32Array) -> None:
+        """Keep a (z, y, x) volume and its surface."""
         if self._series is None:
             return
         moment, surface = seen.moment, seen.found.surface
         self._series.append(
-            seen.density, time_s=moment.time_s, lit_s=moment.lit_s, frame=moment.frames - 1,
+            density, time_s=moment.time_s, lit_s=moment.lit_s, frame=moment.frames - 1,
             turned_deg=float(np.rad2deg(moment.turned_rad)),
         )  # fmt: skip
         if surface is not None:
