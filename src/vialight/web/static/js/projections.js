@@ -34,6 +34,7 @@ export class Picture {
     const { image, low, high, colours } = this;
     if (this.source.width !== columns || this.source.height !== rows) {
       [this.source.width, this.source.height] = [columns, rows];
+      this.pixels = null;
     }
     const table = new Uint32Array(256);
     table[0] = 0xff000000 | EMPTY[2] << 16 | EMPTY[1] << 8 | EMPTY[0];
@@ -43,14 +44,14 @@ export class Picture {
       table[level] = 0xff000000 | colours[place + 2] << 16 | colours[place + 1] << 8 | colours[place];
     }
     const context = this.source.getContext("2d", { willReadFrequently: true });
-    const pixels = context.createImageData(columns, rows);
-    const words = new Uint32Array(pixels.data.buffer);
+    this.pixels ??= context.createImageData(columns, rows);
+    const words = new Uint32Array(this.pixels.data.buffer);
     for (let row = 0; row < rows; row += 1) {
       const from = (rows - 1 - row) * columns;
       const to = row * columns;
       for (let column = 0; column < columns; column += 1) words[to + column] = table[image.values[from + column]];
     }
-    context.putImageData(pixels, 0, 0);
+    context.putImageData(this.pixels, 0, 0);
   }
 
   clear() {

@@ -40,8 +40,11 @@ export class SurfaceView {
     this.canDraw = false;
   }
 
+  // A message of the server is handed over, not copied: who calls needs its arrays no more.
   draw(what, given = {}) {
-    if (this.canDraw) this.artist.postMessage({ do: what, ...given });
+    const arrays = Object.values(given.message?.arrays ?? {});
+    const memory = new Set(arrays.map((array) => array.values.buffer));
+    if (this.canDraw) this.artist.postMessage({ do: what, ...given }, [...memory]);
   }
 
   listen() {
