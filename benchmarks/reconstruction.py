@@ -186,7 +186,7 @@ def stage_seconds(problem: Problem, frames: NDArray[Any], rounds: int) -> dict[s
         "remap to parallel beam": best["resample"],
         "fold and filter": best["reconstruct_slices"] - best["backproject"],
         "backproject": best["backproject"],
-        "copy and mask": best["all"] - best["line_integrals"] - best["resample"] - best["reconstruct_slices"],
+        "all else": best["all"] - best["line_integrals"] - best["resample"] - best["reconstruct_slices"],
     }
 
 

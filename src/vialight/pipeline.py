@@ -245,12 +245,10 @@ def reconstruct(
     grid = grid or grid_for(scan, beam, settings.voxel_mm)
     density = np.empty(grid.shape, np.float32)
     x_mm, y_mm = (axis - centre for axis, centre in zip((grid.x_mm, grid.y_mm), scan.centre_mm, strict=True))
-    outside = np.hypot(x_mm, y_mm[:, None]) > field_radius_mm(beam, scan.optics)
     read = _row_window(scan)
     for start in range(0, grid.shape[0], SLICES_A_BLOCK):
         block = slice(start, min(start + SLICES_A_BLOCK, grid.shape[0]))
         _reconstruct_block(scan, beam, (x_mm, y_mm), grid.voxel_mm, grid.z_mm[block], settings, read, density[block])
-        np.copyto(density[block], 0, where=outside)
         if progress:
             progress(block.stop, grid.shape[0])
     return Volume(density, grid)
@@ -278,6 +276,7 @@ def _reconstruct_block(
         density[:] = reconstruct_climbing(
             sinogram, beam, heights, tilt, *plan_mm, z_mm, radius, filter_name=settings.filter_name
         )
+        np.copyto(density, 0, where=np.hypot(plan_mm[0], plan_mm[1][:, None]) > radius)
 
 
 def _heights_of_climbing_rays(z_mm: FloatArray, voxel_mm: float, largest_climb: float) -> FloatArray:

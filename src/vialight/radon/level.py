@@ -45,7 +45,7 @@ def backproject(
     x_mm, y_mm
         Pixel centres.
     radius_mm
-        Farther from the axis nothing is wanted: tiles of pixels that lie there altogether are 0.
+        Farther from the axis nothing is wanted: pixels that lie there are 0.
     slices
         (z, y, x) contiguous float32 memory for the result; by default new memory.
 
@@ -136,6 +136,10 @@ def _kernel(depth: int) -> Callable[..., None]:
                                 + v5 * flat[i5 + z]
                                 + w5 * flat[i5 + stack + z]
                             )
+            for iy in range(len(y)):
+                for ix in range(len(x)):
+                    if np.hypot(x[ix], y[iy]) > radius:
+                        sums[(iy * len(x) + ix) * depth : (iy * len(x) + ix + 1) * depth] = 0
             for n in range(len(total)):
                 for iy in range(len(y)):
                     for ix in range(len(x)):
