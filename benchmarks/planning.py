@@ -35,7 +35,7 @@ from planning_peers import DRTVAM_STEPS, PACKAGES, VAM_ITERATIONS
 
 from vialight.arrays import Float32Array, Grid
 from vialight.mesh import Mesh, load_mesh
-from vialight.projections import Goal, State, full_turn, light_for, method_named
+from vialight.projections import VOID_LIMIT, Goal, State, full_turn, light_for, method_named
 from vialight.projections.methods import Method
 from vialight.scoring import Score, score_dose
 from vialight.shapes import bracket, gyroid, thin_wall_box
@@ -47,7 +47,7 @@ SHORT_ACROSS, SHORT_ANGLES = 32, 60
 ROUNDS, SHORT_ROUNDS = 2, 1
 PEER_LIMIT_S = 3600
 BOAT = Path(os.environ.get("VIALIGHT_CASES", "../shared/cases")) / "boat" / "boat.stl"
-BEST, DRTVAM = "vialight object-space, 20 passes", "Dr.TVAM threshold loss"
+BEST, DRTVAM = "vialight object-space, 30 passes, void limit 0.87", "Dr.TVAM threshold loss"
 SPEED_GOAL, LARGE_GOAL_S = 20.0, 10.0
 LARGE_VOXELS = "200 x 256 x 256"
 SAME_METHOD = {
@@ -167,23 +167,26 @@ def _part(
     return Part(name, centred, grid, voxelise(centred, grid), angles)
 
 
-def own_methods() -> dict[str, tuple[Method, int]]:
-    """Return vialight's methods with the passes that they do; a pass of gradient is ten steps."""
+def own_methods() -> dict[str, tuple[Method, int, float]]:
+    """Return vialight's methods with passes, ten steps each of gradient, and the dose that a void may get."""
     return {
         # What the first pass shows is the part, filtered and clipped at 0.
-        "vialight FBP": (method_named("object-space", ceiling=1), 1),
-        "vialight normalised, the paper's": (method_named("normalised"), 2),
-        f"vialight osmo, {VAM_ITERATIONS} passes": (method_named("osmo"), VAM_ITERATIONS),
-        f"vialight gradient, {VAM_ITERATIONS} steps": (method_named("gradient", steps=10), VAM_ITERATIONS // 10),
-        "vialight object-space, 10 passes": (method_named("object-space"), 10),
-        BEST: (method_named("object-space"), 20),
-    }
+        "vialight FBP": (method_named("object-space", ceiling=1), 1, VOID_LIMIT),
+        "vialight normalised, the paper's": (method_named("normalised"), 2, VOID_LIMIT),
+        f"vialight osmo, {VAM_ITERATIONS} passes": (method_named("osmo"), VAM_ITERATIONS, VOID_LIMIT),
+        f"vialight gradient, {VAM_ITERATIONS} steps": (
+            method_named("gradient", steps=10), VAM_ITERATIONS // 10, VOID_LIMIT
+        ),
+        "vialight object-space, 10 passes": (method_named("object-space"), 10, VOID_LIMIT),
+        "vialight object-space, 20 passes, its defaults": (method_named("object-space"), 20, VOID_LIMIT),
+        BEST: (method_named("object-space"), 30, 0.87),
+    }  # fmt: skip
 
 
-def optimise(part: Part, method: Method, passes: int) -> Float32Array:
+def optimise(part: Part, method: Method, passes: int, void_limit: float = VOID_LIMIT) -> Float32Array:
     """Return projections (psi, s, z) of half a turn after some passes: the last, which is what an iteration costs."""
     light = light_for(part.grid, part.angles)
-    goal = Goal(np.ascontiguousarray(part.inside.transpose(1, 2, 0)), light.reach)
+    goal = Goal(np.ascontiguousarray(part.inside.transpose(1, 2, 0)), light.reach, void_limit)
     state: State | None = None
     for state in method(goal, light, None):
         if state.passes == passes:
@@ -209,13 +212,13 @@ def patterns_of(projections: Float32Array) -> Float32Array:
 def own_results(part: Part, rounds: int) -> dict[str, Result]:
     """Time all of vialight's methods in turn, some rounds, after a start that does not count."""
     methods = own_methods()
-    for method, _ in methods.values():
-        optimise(part, method, 1)
+    for method, _, void_limit in methods.values():
+        optimise(part, method, 1, void_limit)
     results: dict[str, Result] = {}
     for _ in range(rounds):
-        for name, (method, passes) in methods.items():
+        for name, (method, passes, void_limit) in methods.items():
             start, processor_start = time.perf_counter(), time.process_time()
-            projections = optimise(part, method, passes)
+            projections = optimise(part, method, passes, void_limit)
             seconds, processor_seconds = time.perf_counter() - start, time.process_time() - processor_start
             if name not in results:
                 results[name] = Result(judge(patterns_of(projections), part))
@@ -381,6 +384,8 @@ How to read it:
   Dr.TVAM: its defaults, {DRTVAM_STEPS} steps of L-BFGS, 4 rays a pixel.
 - vialight's FBP is the first pass of object-space: the part, filtered and clipped at 0. Its gradient method stands
   against PM: both are quasi-Newton methods on threshold losses.
+- By default vialight lets a void get 0.85 of the part's dose, for the widest process window; at 0.87 the part's dose is
+  more even, and the window still wider than any other package's.
 """
 
 
