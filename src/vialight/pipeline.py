@@ -276,7 +276,6 @@ def _reconstruct_block(
         density[:] = reconstruct_climbing(
             sinogram, beam, heights, tilt, *plan_mm, z_mm, radius, filter_name=settings.filter_name
         )
-        np.copyto(density, 0, where=np.hypot(plan_mm[0], plan_mm[1][:, None]) > radius)
 
 
 def _heights_of_climbing_rays(z_mm: FloatArray, voxel_mm: float, largest_climb: float) -> FloatArray:

@@ -139,7 +139,9 @@ def reconstruct_climbing(
     wanted = np.ascontiguousarray(columns[..., first : first + len(z_mm)])
     level = project_tilted(wanted, psi, s, flat, z_mm, x_mm, y_mm)
     found = reconstruct_tilted(unexplained, beam, mid_height_mm, tilt_per_mm, x_mm, y_mm, z_mm, filter_name=filter_name)
-    return found + reconstruct_slices(level, beam, x_mm, y_mm, filter_name=filter_name, radius_mm=radius_mm)
+    found += reconstruct_slices(level, beam, x_mm, y_mm, filter_name=filter_name, radius_mm=radius_mm)
+    np.copyto(found, 0, where=outside)
+    return found
 
 
 def _filter(sinogram: Float32Array, beam: ParallelBeam, filter_name: FilterName) -> Float32Array:
