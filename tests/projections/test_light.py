@@ -25,16 +25,16 @@ def inner(a: Float32Array, b: Float32Array) -> float:
 @settings(max_examples=20, deadline=None)
 @given(
     st.booleans(), st.sampled_from([0.0, 0.08]), st.sampled_from([0.0, 0.3]), st.sampled_from([0.0, 0.25]),
-    st.sampled_from([None, 0.01]), st.integers(0, 2**32 - 1),
+    st.sampled_from([None, 0.01]), st.integers(1, 3), st.integers(0, 2**32 - 1),
 )  # fmt: skip
 def test_collecting_is_the_transpose_of_exposing(
-    climbing: bool, absorption: float, blur: float, diffusion: float, tilt: float | None, seed: int
+    climbing: bool, absorption: float, blur: float, diffusion: float, tilt: float | None, held: int, seed: int
 ) -> None:
-    """<A x, y> = <x, A' y> to 1e-5: with absorption, tilt, both sides, blur and diffusion."""
+    """<A x, y> = <x, A' y> to 1e-5: with absorption, tilt, both sides, blur, diffusion and held patterns."""
     rng = np.random.default_rng(seed)
     light = light_for(
         GRID, 12, absorption_per_mm=absorption, tilt_at=None if tilt is None else np.full(24, tilt), climbing=climbing,
-        projector_blur_mm=blur, diffusion_mm=diffusion,
+        projector_blur_mm=blur, diffusion_mm=diffusion, held=held,
     )  # fmt: skip
     projections = rng.normal(size=(6, 24, 6)).astype(np.float32)
     volume = rng.normal(size=(24, 24, 6)).astype(np.float32)
@@ -117,6 +117,23 @@ def test_half_a_turn_from_both_sides_is_a_full_turn(climbing: bool, monkeypatch:
     ]
     # A projection then stands for a whole step of the turn, one way.
     np.testing.assert_allclose((ways[0] + ways[1]) / 2, dose_of(light, half), rtol=1e-3)
+
+
+@pytest.mark.parametrize("climbing", [False, True])
+def test_a_held_projection_is_the_mean_of_flashes_about_its_angle(climbing: bool) -> None:
+    """Of three, at the thirds of its share of the turn; and the same flashes see what it collects."""
+    held = light_for(GRID, 12, absorption_per_mm=0.08, tilt_at=np.full(24, 0.01), climbing=climbing, held=3)
+    third = np.pi / 6 / 3
+    flashes = [
+        replace(held, held=1, geometry=replace(held.geometry, psi_rad=held.geometry.psi_rad + turned))
+        for turned in (-third, 0.0, third)
+    ]
+    rng = np.random.default_rng(2)
+    projections = rng.random((6, 24, 6), np.float32)
+    volume = rng.random((24, 24, 6), np.float32)
+    for act, on in ((dose_of, projections), (collect, volume), (filtered_projections, volume)):
+        mean = np.mean([act(on, flash) for flash in flashes], axis=0)
+        np.testing.assert_allclose(act(on, held), mean, atol=2e-6 * np.abs(mean).max())
 
 
 def test_blur_and_diffusion_spread_dose_by_their_variance() -> None:

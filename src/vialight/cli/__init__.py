@@ -125,6 +125,10 @@ def measure(
 @click.option("--projector-blur", type=float, default=0.0, help="Standard deviation in the resin, mm, to be undone.")
 @click.option("--diffusion", type=float, default=0.0, help="Standard deviation of what diffuses, mm, to be undone.")
 @click.option(
+    "--held", type=int, default=2, show_default=True,
+    help="Angles that a pattern counts at while the vial turns under it; 1 takes it for a flash.",
+)  # fmt: skip
+@click.option(
     "--ceiling",
     type=float,
     default=0.3,
@@ -179,7 +183,7 @@ def _plan_settings(options: dict[str, Any]) -> PlanSettings:
     return PlanSettings(
         method=options["method"], passes=options["passes"], angles=options["angles"], voxel_mm=options["voxel"],
         coverage=options["coverage"], void_limit=options["void_limit"], climbing=not options["flat"],
-        projector_blur_mm=options["projector_blur"], diffusion_mm=options["diffusion"],
+        projector_blur_mm=options["projector_blur"], diffusion_mm=options["diffusion"], held=options["held"],
         ceiling=options["ceiling"], background=options["background"], clip_level=options["clip"],
         bound_void=options["bound_void"],
         rotate_deg=options["rotate"], scale=options["scale"], fit=options["fit"], centre=not options["no_centre"],

@@ -10,6 +10,8 @@ import numpy as np
 from vialight.errors import InputError
 from vialight.projections import CEILING, VOID_LIMIT, MethodName
 
+_MOST_HELD = 9
+
 
 @dataclass(frozen=True)
 class PlanSettings:
@@ -34,6 +36,9 @@ class PlanSettings:
         and wrong by a few per cent at flat ends of a part.
     projector_blur_mm, diffusion_mm
         Standard deviations, in the resin, of what the forward model is to undo.
+    held
+        Angles that a pattern counts at while the vial turns under it; 1 takes it for a flash, which is quicker, and
+        makes parts far from the axis less even.
     ceiling
         Of the method `object-space`: brightest light allowed, in that of the part's filtered backprojection.
     background, clip_level, bound_void
@@ -51,6 +56,7 @@ class PlanSettings:
     climbing: bool = True
     projector_blur_mm: float = 0.0
     diffusion_mm: float = 0.0
+    held: int = 2
     ceiling: float = CEILING
     background: float = 0.5
     clip_level: float | None = None
@@ -65,6 +71,8 @@ class PlanSettings:
             raise InputError("--angles", f"is {self.angles}", accepted="an even number, 4 or more")
         if self.passes is not None and self.passes < 1:
             raise InputError("--passes", f"is {self.passes}", accepted="1 or more")
+        if not 1 <= self.held <= _MOST_HELD:
+            raise InputError("--held", f"is {self.held}", accepted=f"1 to {_MOST_HELD}")
         if not 0 < self.void_limit < 1:
             raise InputError("--void-limit", f"is {self.void_limit}", accepted="more than 0 and less than 1")
         if not 0 < self.ceiling <= 1:

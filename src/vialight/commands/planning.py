@@ -215,7 +215,7 @@ def _light(grid: Grid, rig: Rig, room: Room, settings: PlanSettings) -> Light:
         grid, settings.angles, radius_mm=radius, absorption_per_mm=rig.resin.absorption_per_mm or 0.0,
         tilt_at=None if optics is None else ray_tilt(strip_positions(radius, grid.voxel_mm), optics),
         climbing=settings.climbing and optics is not None,
-        projector_blur_mm=settings.projector_blur_mm, diffusion_mm=settings.diffusion_mm,
+        projector_blur_mm=settings.projector_blur_mm, diffusion_mm=settings.diffusion_mm, held=settings.held,
     )  # fmt: skip
 
 

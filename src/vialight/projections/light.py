@@ -28,16 +28,29 @@ class Light:
         Standard deviation of the projector's point spread in the resin.
     diffusion_mm
         Standard deviation of what diffuses in the resin while it cures.
+    held
+        Angles that each projection shines at, evenly over its share of the turn, on both sides of its own: the vial
+        turns while a pattern is held.  1 takes it for a flash.
     """
 
     geometry: StripGeometry
     projector_blur_mm: float = 0.0
     diffusion_mm: float = 0.0
+    held: int = 1
 
     @property
     def step_rad(self) -> float:
         """Turn that one projection stands for: with `from_both_sides`, both of its ways together."""
         return TURN_RAD / len(self.geometry.psi_rad)
+
+    @property
+    def geometry_held(self) -> StripGeometry:
+        """With every angle that projections shine at, those of one after those of the other."""
+        psi = self.geometry.psi_rad
+        # With `from_both_sides` projections share half a turn, each way.
+        share = TURN_RAD / len(psi) / (2 if self.geometry.from_both_sides else 1)
+        beside = centred(self.held, share / self.held)
+        return replace(self.geometry, psi_rad=(psi[:, None] + beside).ravel())
 
     @property
     def reach(self) -> Float32Array:
@@ -58,6 +71,7 @@ def light_for(
     climbing: bool = False,
     projector_blur_mm: float = 0.0,
     diffusion_mm: float = 0.0,
+    held: int = 1,
 ) -> Light:
     """Choose strips as wide as voxels for a grid.
 
@@ -75,7 +89,7 @@ def light_for(
         (samples,) of `strip_positions`, see `StripGeometry.tilt_per_mm`.
     climbing
         Let rays climb from slice to slice.
-    projector_blur_mm, diffusion_mm
+    projector_blur_mm, diffusion_mm, held
         See `Light`.
     """
     positions = strip_positions(
@@ -96,7 +110,7 @@ def light_for(
         from_both_sides=True,
         within_mm=float(positions[-1]),
     )
-    return Light(geometry, projector_blur_mm, diffusion_mm)
+    return Light(geometry, projector_blur_mm, diffusion_mm, held)
 
 
 def strip_positions(radius_mm: float, width_mm: float) -> FloatArray:
@@ -106,14 +120,15 @@ def strip_positions(radius_mm: float, width_mm: float) -> FloatArray:
 
 def dose_of(projections: Float32Array, light: Light) -> Float32Array:
     """Return the dose (y, x, z) that projections (psi, s, z) make in one turn."""
-    lit = backproject_strips(_blur(projections, light, light.projector_blur_mm), light.geometry)
-    lit *= np.float32(light.step_rad)
+    shown = _blur(projections, light, light.projector_blur_mm)
+    lit = backproject_strips(shown if light.held == 1 else np.repeat(shown, light.held, axis=0), light.geometry_held)
+    lit *= np.float32(light.step_rad / light.held)
     return _diffuse(lit, light)
 
 
 def collect(volume: Float32Array, light: Light) -> Float32Array:
     """Return the transpose of `dose_of` applied to a volume (y, x, z)."""
-    seen = project_strips(_diffuse(volume, light), light.geometry)
+    seen = _project(_diffuse(volume, light), light)
     seen *= np.float32(light.step_rad)
     return _blur(seen, light, light.projector_blur_mm)
 
@@ -121,11 +136,20 @@ def collect(volume: Float32Array, light: Light) -> Float32Array:
 def filtered_projections(volume: Float32Array, light: Light, filter_name: FilterName = "ram-lak") -> Float32Array:
     """Return the projections, negative ones included, whose dose is the volume but for absorption and blur."""
     # With the same climb as the dose, the pair stays symmetric, and iterations on it stable.
-    geometry = replace(light.geometry, absorption_per_mm=0.0)
+    clear = replace(light, geometry=replace(light.geometry, absorption_per_mm=0.0))
+    geometry = clear.geometry
     # A column of voxels in a strip is one voxel long for each; half, as light comes from both sides of the turn.
     scale = np.float32(geometry.voxel_mm**2 / geometry.spacing_mm / 2)
     matrix = ramp_filter(filter_name, geometry.samples, geometry.spacing_mm) * scale
-    return filter_rays(matrix, project_strips(volume, geometry))
+    return filter_rays(matrix, _project(volume, clear))
+
+
+def _project(volume: Float32Array, light: Light) -> Float32Array:
+    """Return what strips see of a volume, the mean over the angles that they are held at."""
+    seen = project_strips(volume, light.geometry_held)
+    if light.held == 1:
+        return seen
+    return np.asarray(seen.reshape(-1, light.held, *seen.shape[1:]).mean(axis=1))
 
 
 def _blur(projections: Float32Array, light: Light, sigma_mm: float) -> Float32Array:
