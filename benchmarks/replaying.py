@@ -35,6 +35,7 @@ class Found:
     median_ms: float
     p95_ms: float
     skipped: int
+    surfaces: int
     peak_mb: float
     delays_s: tuple[float, float]
 
@@ -64,7 +65,7 @@ def replay(case: Case, turns: int) -> Found:
             told = watch_run(run, voxel_mm=case.grid.voxel_mm)
     return Found(
         told["frames"], 1000 * told["latency_p50_s"], 1000 * told["latency_p95_s"], told["frames_without_snapshot"],
-        peak.mb, (told["refraction_delay_half_field_s"], told["refraction_delay_edge_s"]),
+        told["surfaces"], peak.mb, (told["refraction_delay_half_field_s"], told["refraction_delay_edge_s"]),
     )  # fmt: skip
 
 
@@ -76,12 +77,13 @@ def report(results: list[tuple[Case, Found]], host: str, command: str) -> str:
         f"Made by `{command}`. {host}",
         "",
         "| frames, voxels | frames | a second | latency, ms: median | 95 % | frames without a snapshot of their own |"
-        " memory, MB | refraction adds, s: half of the field | edge |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+        " surfaces a second | memory, MB | refraction adds, s: half of the field | edge |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     lines += [
         f"| {case.name} | {found.frames} | {case.frames_per_s:g} | {found.median_ms:.0f} | {found.p95_ms:.0f} "
-        f"| {found.skipped} | {found.peak_mb:.0f} | {found.delays_s[0]:.2f} | {found.delays_s[1]:.2f} |"
+        f"| {found.skipped} | {found.surfaces * case.frames_per_s / found.frames:.2f} | {found.peak_mb:.0f} "
+        f"| {found.delays_s[0]:.2f} | {found.delays_s[1]:.2f} |"
         for case, found in results
     ]
     lines += [

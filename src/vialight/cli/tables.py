@@ -104,7 +104,7 @@ def print_lines(result: dict[str, Any], out: Path) -> list[str]:
 def watch_lines(result: dict[str, Any]) -> list[str]:
     """Say what a replay has shown, and how late."""
     lines = [
-        f"frames          {result['frames']}, {result['snapshots']} snapshots",
+        f"frames          {result['frames']}, {result['snapshots']} snapshots, {result['surfaces']} surfaces measured",
         f"latency         {1e3 * result['latency_p50_s']:.0f} ms median, {1e3 * result['latency_p95_s']:.0f} ms "
         "in 95 % of snapshots, from a frame's arrival",
         f"refraction      adds {result['refraction_delay_half_field_s']:.1f} s at half of the field, "

@@ -129,7 +129,7 @@ class _Replay:
         self._latencies: list[float] = []
         self._seen = self._number = 0
         self._last: SurfaceSnapshot | None = None
-        self._skipped = 0
+        self._skipped = self._surfaces = 0
 
     def __enter__(self) -> _Replay:
         return self
@@ -157,7 +157,8 @@ class _Replay:
             if time.monotonic() - status_at > 10 * _TICK_S:
                 status_at = time.monotonic()
                 on_status(self._publish())
-        self._last = self._watcher.surface()
+        if (surfaces := self._boxes / "surface").exists():
+            self._surfaces, self._last = Mailbox(surfaces).newest() or (0, None)
 
     def _look(self) -> None:
         if self._snapshot_box is None:
@@ -196,6 +197,7 @@ class _Replay:
         return {
             "frames": self._recorder.written,
             "snapshots": len(self._latencies),
+            "surfaces": self._surfaces,
             "frames_without_snapshot": self._skipped,
             "latency_p50_s": float(np.percentile(late, 50)) if len(late) else float("nan"),
             "latency_p95_s": float(np.percentile(late, 95)) if len(late) else float("nan"),

@@ -27,7 +27,7 @@ _START_S = 60.0
 def analyse(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
     """Measure whatever volume is given until told to finish, or until the process that prints is gone."""
     leave_interrupts_to_the_print()
-    os.nice(8)
+    os.nice(17)
     path = settings.mailboxes / "volume"
     deadline = time.monotonic() + _START_S
     while not path.exists():

@@ -1,6 +1,7 @@
 """The process that renews the live volume: it reads the recording, and hands on what comes of it.
 
-Nobody waits for it.  It reads every frame; where it is late, it takes all that wait into one renewal.
+Nobody waits for it.  It reads every frame; each gets a renewal and a snapshot of its own, unless so many wait that it
+takes them all into one.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import multiprocessing
 import os
 import time
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -25,12 +27,14 @@ from vialight.live.lit_time import LitTime
 from vialight.live.sharing import Moment, SharedVolume
 from vialight.live.window import SlidingWindow, WindowState, compile_kernels
 from vialight.mesh import Mesh
-from vialight.store import FrameTail
+from vialight.store import FrameTail, NewFrames
 
 _POLL_S = 0.003
 _SECOND_S = 1.0
 _RATE_OVER = 50
 _ROUNDING = 1e-6
+_FEW = 4
+"""Frames that may wait before they have to share a renewal."""
 
 
 @dataclass(frozen=True)
@@ -103,9 +107,10 @@ def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
     while not wait([parent.sentinel], timeout=0):
         new = tail.new()
         if new is not None:
-            for counts, angle in zip(new.counts, new.angles_rad, strict=True):
-                window.add(counts, float(angle))
-            follower.renew(new.first + len(new.counts), new.time_s, new.angles_rad)
+            for frames in shares(new):
+                for counts, angle in zip(frames.counts, frames.angles_rad, strict=True):
+                    window.add(counts, float(angle))
+                follower.renew(frames.first + len(frames.counts), frames.time_s, frames.angles_rad)
         elif is_finishing:
             window.renew(everything=True)  # the last volume is of all that was seen
             follower.show_volume()
@@ -113,6 +118,25 @@ def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
             return
         elif orders.poll(_POLL_S):
             is_finishing = orders.recv() == "finish"
+
+
+def shares(new: NewFrames) -> Iterator[NewFrames]:
+    """Yield what each renewal takes of frames that have come: one each, or all where more than a few wait.
+
+    Examples
+    --------
+    >>> def sizes(count):
+    ...     new = NewFrames(7, np.zeros((count, 2, 3)), np.zeros(count), np.zeros(count))
+    ...     return [(part.first, len(part.counts)) for part in shares(new)]
+    >>> sizes(2), sizes(9)
+    ([(7, 1), (8, 1)], [(7, 9)])
+    """
+    if len(new.counts) > _FEW:
+        yield new
+        return
+    for k in range(len(new.counts)):
+        one = slice(k, k + 1)
+        yield NewFrames(new.first + k, new.counts[one], new.angles_rad[one], new.time_s[one])
 
 
 class _Follower:
