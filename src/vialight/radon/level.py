@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
 from vialight.arrays import FAST_MATH, Float32Array, FloatArray
-from vialight.memory import aligned_zeros
+from vialight.memory import FLOATS_A_LINE, aligned_zeros, without_overlap
 from vialight.radon.taps import tap
 
-_TILE_ROWS, _TILE_COLUMNS = 32, 16
-"""Pixels of a tile: its sums stay in the second cache; what a row of it reads stays in the first for the next row."""
+_TILE = 16
+"""Pixels along the edge of a tile: its sums stay in the second cache; what a run of pixels reads in the first, for the
+next run."""
+
+_GAP = 64
+"""Floats between rows of a tile's sums: pixels below each other would else want the same places of the first cache."""
 
 _ANGLES_A_PASS = 6
 """Angles summed before an accumulator is written back; twelve weights just fit the registers."""
 
 _FEW_SLICES, _MANY_SLICES = 16, 64
-"""Slices that a kernel takes at a time.  Known to the compiler, they make addresses cheap, which saves a fifth."""
+"""Slices taken at a time."""
+
+_Lines = tuple[int, ...]
+"""As many numbers, of no meaning, as a stack of slices has cache lines: the length of a tuple is known to the compiler,
+which makes addresses cheap and saves a fifth."""
 
 
 def backproject(
@@ -56,97 +63,96 @@ def backproject(
         the samples counts as zero.
     """
     psi_rad = np.concatenate([psi_rad, np.zeros(-len(psi_rad) % _ANGLES_A_PASS)])
-    cosine, sine = np.cos(psi_rad) / spacing_mm, np.sin(psi_rad) / spacing_mm
+    s_of_x, s_of_y = np.cos(psi_rad) / spacing_mm, -np.sin(psi_rad) / spacing_mm
     if slices is None:
         slices = np.empty((filtered.shape[2], len(y_mm), len(x_mm)), np.float32)
-    for start in range(0, len(slices), _MANY_SLICES):
-        stack = slices[start : start + _MANY_SLICES]
-        depth = _FEW_SLICES if len(stack) <= _FEW_SLICES else _MANY_SLICES
-        _KERNELS[depth](
-            _padded(filtered[..., start : start + _MANY_SLICES], depth),
-            cosine, sine, first_s_mm / spacing_mm, x_mm, y_mm, radius_mm, stack,
+    depth = _FEW_SLICES if len(slices) <= _FEW_SLICES else _MANY_SLICES
+    # Whole passes of angles, the last filled with zeros, and stacks that begin on a cache line.
+    padded = aligned_zeros((len(psi_rad), filtered.shape[1], depth))
+    for start in range(0, len(slices), depth):
+        stack = slices[start : start + depth]
+        padded[: len(filtered), :, : len(stack)] = filtered[..., start : start + depth]
+        _backproject(
+            padded, (0,) * (depth // FLOATS_A_LINE), s_of_x, s_of_y, first_s_mm / spacing_mm, x_mm, y_mm, radius_mm,
+            stack,
         )  # fmt: skip
     return slices.transpose(1, 2, 0)
 
 
-def _padded(filtered: Float32Array, depth: int) -> Float32Array:
-    """Copy (psi, s, z) to where every stack of slices begins on a cache line, zeros filling the last pass and stack."""
-    angles, samples, count = filtered.shape
-    padded = aligned_zeros((angles + -angles % _ANGLES_A_PASS, samples, depth))
-    padded[:angles, :, :count] = filtered
-    return padded
-
-
-def _kernel(depth: int) -> Callable[..., None]:
-    """Return the kernel for stacks of `depth` slices."""
-    stack = np.uint64(depth)
-
-    @njit(parallel=True, fastmath=FAST_MATH, cache=True)
-    def run(
-        filtered: Float32Array,
-        cosine: FloatArray,
-        sine: FloatArray,
-        first: float,
-        x_mm: FloatArray,
-        y_mm: FloatArray,
-        radius: float,
-        total: Float32Array,
-    ) -> None:
-        angles, samples, _ = filtered.shape
-        flat = filtered.reshape(-1)
-        tiles_x = (len(x_mm) + _TILE_COLUMNS - 1) // _TILE_COLUMNS
-        tiles_y = (len(y_mm) + _TILE_ROWS - 1) // _TILE_ROWS
-        for tile in prange(tiles_x * tiles_y):
-            y_start = tile // tiles_x * _TILE_ROWS
-            x_start = tile % tiles_x * _TILE_COLUMNS
-            x, y = x_mm[x_start : x_start + _TILE_COLUMNS], y_mm[y_start : y_start + _TILE_ROWS]
-            if np.hypot(max(x[0], -x[-1], 0.0), max(y[0], -y[-1], 0.0)) > radius:
-                total[:, y_start : y_start + len(y), x_start : x_start + len(x)] = 0
-                continue
-            sums = np.zeros(len(y) * len(x) * depth, np.float32)
-            # Place and weights of a row of pixels are found ahead of their use, many at once in a vector register.
-            # Places are unsigned: a signed index would be looked at for counting from the end.
-            at = np.empty((_ANGLES_A_PASS, _TILE_COLUMNS), np.uint64)
-            v, w = np.empty(at.shape, np.float32), np.empty(at.shape, np.float32)
-            for a in range(0, angles, _ANGLES_A_PASS):
-                for iy in range(len(y)):
-                    for k in range(_ANGLES_A_PASS):
-                        offset = -y[iy] * sine[a + k] - first
-                        for ix in range(len(x)):
-                            index, v[k, ix], w[k, ix] = tap(x[ix] * cosine[a + k] + offset, samples)
-                            at[k, ix] = ((a + k) * samples + index) * depth
-                    for ix in range(len(x)):
-                        i0, i1, i2, i3, i4, i5 = at[0, ix], at[1, ix], at[2, ix], at[3, ix], at[4, ix], at[5, ix]
-                        v0, v1, v2, v3, v4, v5 = v[0, ix], v[1, ix], v[2, ix], v[3, ix], v[4, ix], v[5, ix]
-                        w0, w1, w2, w3, w4, w5 = w[0, ix], w[1, ix], w[2, ix], w[3, ix], w[4, ix], w[5, ix]
-                        here = np.uint64((iy * len(x) + ix) * depth)
-                        for n in range(depth):
-                            z = np.uint64(n)
-                            sums[here + z] += (
-                                v0 * flat[i0 + z]
-                                + w0 * flat[i0 + stack + z]
-                                + v1 * flat[i1 + z]
-                                + w1 * flat[i1 + stack + z]
-                                + v2 * flat[i2 + z]
-                                + w2 * flat[i2 + stack + z]
-                                + v3 * flat[i3 + z]
-                                + w3 * flat[i3 + stack + z]
-                                + v4 * flat[i4 + z]
-                                + w4 * flat[i4 + stack + z]
-                                + v5 * flat[i5 + z]
-                                + w5 * flat[i5 + stack + z]
-                            )
-            for iy in range(len(y)):
-                for ix in range(len(x)):
-                    if np.hypot(x[ix], y[iy]) > radius:
-                        sums[(iy * len(x) + ix) * depth : (iy * len(x) + ix + 1) * depth] = 0
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _backproject(
+    filtered: Float32Array,
+    lines: _Lines,
+    s_of_x: FloatArray,
+    s_of_y: FloatArray,
+    first: float,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    radius: float,
+    total: Float32Array,
+) -> None:
+    angles, samples, depth = filtered.shape
+    flat = filtered.reshape(-1)
+    tiles_x, tiles_y = (len(x_mm) + _TILE - 1) // _TILE, (len(y_mm) + _TILE - 1) // _TILE
+    for tile in prange(tiles_x * tiles_y):
+        y_start, x_start = tile // tiles_x * _TILE, tile % tiles_x * _TILE
+        x, y = x_mm[x_start : x_start + _TILE], y_mm[y_start : y_start + _TILE]
+        if np.hypot(max(x[0], -x[-1], 0.0), max(y[0], -y[-1], 0.0)) > radius:
+            total[:, y_start : y_start + len(y), x_start : x_start + len(x)] = 0
+            continue
+        pitch = len(x) * depth + _GAP
+        sums = np.zeros(len(y) * pitch, np.float32)
+        # Place and weights of a run of pixels are found ahead of their use, many at once in a vector register.
+        # Places are unsigned: a signed index would be looked at for counting from the end.
+        at = np.empty((_ANGLES_A_PASS, _TILE), np.uint64)
+        v, w = np.empty(at.shape, np.float32), np.empty(at.shape, np.float32)
+        for a in range(0, angles, _ANGLES_A_PASS):
+            # Runs lie where s changes less from pixel to pixel, so that they read fewer samples.
+            if abs(s_of_x[a]) < abs(s_of_y[a]):
+                along, across, s_along, s_across, pitch_along, pitch_across = x, y, s_of_x, s_of_y, depth, pitch
+            else:
+                along, across, s_along, s_across, pitch_along, pitch_across = y, x, s_of_y, s_of_x, pitch, depth
+            for j in range(len(across)):
+                for k in range(_ANGLES_A_PASS):
+                    offset = across[j] * s_across[a + k] - first
+                    for i in range(len(along)):
+                        index, v[k, i], w[k, i] = tap(along[i] * s_along[a + k] + offset, samples)
+                        at[k, i] = ((a + k) * samples + index) * depth
+                for i in range(len(along)):
+                    _add_pass(sums, np.uint64(j * pitch_across + i * pitch_along), flat, lines, at, v, w, i)
+        for iy in range(len(y)):
+            for ix in range(len(x)):
+                if np.hypot(x[ix], y[iy]) > radius:
+                    sums[iy * pitch + ix * depth : iy * pitch + (ix + 1) * depth] = 0
             for n in range(len(total)):
-                for iy in range(len(y)):
-                    for ix in range(len(x)):
-                        total[n, y_start + iy, x_start + ix] = sums[(iy * len(x) + ix) * depth + n]
-
-    kernel: Callable[..., None] = run
-    return kernel
+                for ix in range(len(x)):
+                    total[n, y_start + iy, x_start + ix] = sums[iy * pitch + ix * depth + n]
 
 
-_KERNELS = {depth: _kernel(depth) for depth in (_FEW_SLICES, _MANY_SLICES)}
+@without_overlap
+def _add_pass(
+    sums: Float32Array, here: np.uint64, flat: Float32Array, lines: _Lines,
+    at: NDArray[np.uint64], v: Float32Array, w: Float32Array, i: int,
+) -> None:  # fmt: skip
+    """Add to a pixel's stack of `sums`, from `here` on, what a pass of angles brings: samples by v, the next by w."""
+    depth = len(lines) * FLOATS_A_LINE
+    stack = np.uint64(depth)
+    i0, i1, i2, i3, i4, i5 = at[0, i], at[1, i], at[2, i], at[3, i], at[4, i], at[5, i]
+    v0, v1, v2, v3, v4, v5 = v[0, i], v[1, i], v[2, i], v[3, i], v[4, i], v[5, i]
+    w0, w1, w2, w3, w4, w5 = w[0, i], w[1, i], w[2, i], w[3, i], w[4, i], w[5, i]
+    for n in range(depth):
+        z = np.uint64(n)
+        sums[here + z] += (
+            v0 * flat[i0 + z]
+            + w0 * flat[i0 + stack + z]
+            + v1 * flat[i1 + z]
+            + w1 * flat[i1 + stack + z]
+            + v2 * flat[i2 + z]
+            + w2 * flat[i2 + stack + z]
+            + v3 * flat[i3 + z]
+            + w3 * flat[i3 + stack + z]
+            + v4 * flat[i4 + z]
+            + w4 * flat[i4 + stack + z]
+            + v5 * flat[i5 + z]
+            + w5 * flat[i5 + stack + z]
+        )

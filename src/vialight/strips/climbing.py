@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, IntArray
+from vialight.memory import without_overlap
 from vialight.strips.level import (
     ANGLES_A_JOB,
     ENTRIES_A_PASS,
@@ -19,7 +20,7 @@ from vialight.strips.level import (
     weaken_line,
 )
 from vialight.strips.shadows import TAPS, Int32Array, shadows, weaken
-from vialight.strips.sums import IDS, ROWS_A_PAIR, add_rows_to_two, add_shadows, fast, fill_up, list_by_strip
+from vialight.strips.sums import IDS, ROWS_A_PAIR, add_rows_to_two, add_shadows, fill_up, list_by_strip
 
 _PARTS_A_PASS = ENTRIES_A_PASS // 2
 """Angles, or parts of shadows, summed before a voxel is written back: each counts at the knots before and behind it."""
@@ -41,7 +42,7 @@ def _stretch(z: int, drift: float, first_height: float, depth: int) -> tuple[int
     return offset, int(min(max(end, z + 1.0), float(depth)))
 
 
-@fast
+@without_overlap
 def _gather_climbing(
     rows: Float32Array, row: int, light: Float32Array, a: int, strip: int, weight: np.float32, drift: float,
     first_height: float, ramp: Float32Array,
@@ -67,7 +68,7 @@ def _gather_climbing(
         start = end
 
 
-@fast
+@without_overlap
 def _scatter_climbing(
     light: Float32Array, a: int, strip: int, rows: Float32Array, row: int, weight: np.float32, drift: float,
     first_height: float, ramp: Float32Array,

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numpy.typing import NDArray
 
 from vialight.arrays import FAST_MATH, BoolArray, Float32Array
+from vialight.memory import without_overlap
 from vialight.strips.shadows import Int32Array
 
 IDS = np.uint32
@@ -18,23 +15,7 @@ ROWS_A_PAIR = 6
 """Rows added before two sums are written back: their weights just fit the registers."""
 
 
-class _NoOverlap(CompilerBase):
-    """Compiles with the promise that no two arguments share memory.
-
-    Without it, each short loop over slices begins by comparing the ends of a dozen rows with the sum's, which took as
-    long as the loop.
-    """
-
-    def define_pipelines(self) -> list[Any]:
-        """Return numba's usual pipeline, with that promise."""
-        self.state.flags.noalias = True
-        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]  # type: ignore[no-untyped-call]
-
-
-fast: Callable[[Any], Any] = njit(fastmath=FAST_MATH, cache=True, pipeline_class=_NoOverlap)
-
-
-@fast
+@without_overlap
 def add_shadows(
     sums: Float32Array, row: int, rows: Float32Array, entry: int, k: int, first: Int32Array, weights: Float32Array
 ) -> None:
@@ -67,7 +48,7 @@ def add_shadows(
         )
 
 
-@fast
+@without_overlap
 def add_rows_to_two(
     sums: Float32Array, near: int, rows: Float32Array, strip: int, ids: NDArray[IDS], shares: Float32Array, count: int
 ) -> None:
