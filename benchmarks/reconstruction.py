@@ -250,19 +250,21 @@ def comparison_table(problem: Problem, results: dict[str, Result | None]) -> lis
 
 def goals_table(results: dict[str, Result | None], starts: dict[str, float]) -> list[str]:
     """Return what is aimed for and what was found."""
-    reference = results[OURS]
+    reference, as_used = results[OURS], results[OURS_AS_USED]
     assert reference is not None
+    assert as_used is not None
     lines = ["| goal | found | met |", "| --- | ---: | --- |"]
 
     def add(goal: str, found: float, limit: float, form: str, *, at_least: bool = False) -> None:
         met = found >= limit if at_least else found <= limit
         lines.append(f"| {goal} | {form.format(found)} | {'yes' if met else 'no'} |")
 
-    for name, result in results.items():
-        if result is not None and name.startswith(("finufft", "scikit-image")):
-            limit = NUFFT_GOAL if name.startswith("finufft") else SKIMAGE_GOAL
-            add(f"at least {limit:g} times as fast as {name}", result.best / reference.best, limit, "{:.2f}",
-                at_least=True)  # fmt: skip
+    for ours, told in ((as_used, "in the field"), (reference, "corners of the square too")):
+        for name, result in results.items():
+            if result is not None and name.startswith(("finufft", "scikit-image")):
+                limit = NUFFT_GOAL if name.startswith("finufft") else SKIMAGE_GOAL
+                add(f"{told}: at least {limit:g} times as fast as {name}", result.best / ours.best, limit, "{:.2f}",
+                    at_least=True)  # fmt: skip
     add(f"peak memory at most {MEMORY_GOAL_MB:.0f} MB", reference.peak_mb, MEMORY_GOAL_MB, "{:.0f} MB")
     for name, seconds in starts.items():
         limit = HELP_GOAL_S if "--help" in name else START_GOAL_S
@@ -289,12 +291,13 @@ def machine() -> list[str]:
 REMARKS = """\
 How to read it:
 
-- All methods fill the same {slices} x {columns} x {columns} voxels, corners of the square included, with the same
-  filter (cosine) in single precision, on {cores} cores. The row "the field alone" is what users run: voxels that not
-  every ray of the field sees are 0, and most of them are not computed. Goals are judged without that. vialight begins
-  with {frames} frames of {slices} x {columns} uint16 counts in memory; its time includes background removal, the remap
-  for the vial, filter and backprojection. The others begin with the ready parallel-beam sinogram, exact, already folded
-  to half a turn except where the name says otherwise.
+- All methods fill the same {slices} x {columns} x {columns} voxels, with the same filter (cosine) in single precision,
+  on {cores} cores: in the first row corners of the square included. The row "the field alone" is what users run: voxels
+  beyond the field, which fills 90 % of the columns, are 0, as not every ray sees them, and most of them are not
+  computed; the others would gain nothing by leaving them out. Goals are judged both ways. vialight begins with {frames}
+  frames of {slices} x {columns} uint16 counts in memory; its time includes background removal, the remap for the vial,
+  filter and backprojection. The others begin with the ready parallel-beam sinogram, exact, already folded to half a
+  turn except where the name says otherwise.
 - *: scaled. Three slices were made and the time multiplied; iradon and ASTRA's FBP work slice by slice on one core, so
   two processes would halve their times. Their memory is that of three slices.
 - finufft runs twice: with one slice a transform, and with two slices packed into one complex transform, which is the
