@@ -36,7 +36,7 @@ from planning_peers import DRTVAM_STEPS, PACKAGES, VAM_ITERATIONS
 from vialight.arrays import Float32Array, Grid
 from vialight.commands import PlanSettings
 from vialight.mesh import Mesh, load_mesh
-from vialight.projections import VOID_LIMIT, Goal, State, full_turn, light_for, method_named
+from vialight.projections import VOID_LIMIT, Goal, MethodName, State, full_turn, light_for, method_named
 from vialight.projections.methods import Method
 from vialight.scoring import Score, score_dose
 from vialight.shapes import bracket, gyroid, thin_wall_box
@@ -340,16 +340,17 @@ def seconds_for_large(rounds: int) -> float:
 def quality_by_passes(part: Part) -> list[str]:
     """Return quality against time, pass by pass, of the methods that go on."""
     lines = ["| method | after | seconds | in-part range | process window |", "| --- | ---: | ---: | ---: | ---: |"]
-    for name, told, shown in (
-        ("object-space", "passes", (1, 2, 5, 10, 20, 40)),
-        ("osmo", "passes", (1, 2, 5, 10, 20, 40)),
-        ("gradient", "times ten steps", (1, 2, 4)),
-    ):
+    methods: dict[MethodName, tuple[str, tuple[int, ...]]] = {
+        "object-space": ("passes", (1, 2, 5, 10, 20, 40)),
+        "osmo": ("passes", (1, 2, 5, 10, 20, 40)),
+        "gradient": ("times ten steps", (1, 2, 4)),
+    }
+    for name, (told, shown) in methods.items():
         light = light_for(part.grid, part.angles, held=PlanSettings().held)
         goal = Goal(np.ascontiguousarray(part.inside.transpose(1, 2, 0)), light.reach)
         start = time.perf_counter()
         judging = 0.0
-        for state in method_named(name)(goal, light, None):  # type: ignore[arg-type]
+        for state in method_named(name)(goal, light, None):
             if state.passes in shown:
                 seconds, stop = time.perf_counter() - start - judging, time.perf_counter()
                 score = judge(patterns_of(state.projections), part)

@@ -138,7 +138,7 @@ def _stand_in_for_display() -> None:
         def find_spec(name: str, path: object = None, target: object = None) -> Any:
             if name.partition(".")[0] not in _FOR_DISPLAY:
                 return None
-            return importlib.util.spec_from_loader(name, Finder())  # type: ignore[arg-type]
+            return importlib.util.spec_from_loader(name, Finder())  # type: ignore[arg-type]  # finder and loader in one
 
         @staticmethod
         def create_module(spec: Any) -> Any:

@@ -37,7 +37,7 @@ def contour(field: Float32Array, origin_mm: tuple[float, float, float], voxel_mm
     image.SetSpacing(voxel_mm, voxel_mm, voxel_mm)
     image.SetOrigin(*origin_mm[::-1])
     # The array is not copied: `field` must outlive Update().
-    image.GetPointData().SetScalars(numpy_to_vtk(field.ravel(), deep=False))  # type: ignore[no-untyped-call]
+    image.GetPointData().SetScalars(numpy_to_vtk(field.ravel(), deep=False))  # type: ignore[no-untyped-call]  # of VTK
     edges = vtkFlyingEdges3D()
     edges.SetInputData(image)
     edges.SetValue(0, level)
@@ -45,8 +45,8 @@ def contour(field: Float32Array, origin_mm: tuple[float, float, float], voxel_mm
     edges.ComputeScalarsOff()
     edges.Update()
     surface = edges.GetOutput()
-    vertices = vtk_to_numpy(surface.GetPoints().GetData())  # type: ignore[no-untyped-call]
-    faces = vtk_to_numpy(surface.GetPolys().GetConnectivityArray())  # type: ignore[no-untyped-call]
+    vertices = vtk_to_numpy(surface.GetPoints().GetData())  # type: ignore[no-untyped-call]  # of VTK
+    faces = vtk_to_numpy(surface.GetPolys().GetConnectivityArray())  # type: ignore[no-untyped-call]  # of VTK
     return Mesh(vertices.astype(np.float64), faces.astype(np.int64).reshape(-1, 3))
 
 

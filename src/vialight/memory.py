@@ -46,7 +46,7 @@ class _NoOverlap(CompilerBase):
     def define_pipelines(self) -> list[Any]:
         """Return numba's usual pipeline, with that promise."""
         self.state.flags.noalias = True
-        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]  # type: ignore[no-untyped-call]
+        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]  # type: ignore[no-untyped-call]  # of numba
 
 
 without_overlap: Callable[[Any], Any] = njit(fastmath=FAST_MATH, nogil=True, cache=True, pipeline_class=_NoOverlap)

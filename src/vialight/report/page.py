@@ -146,14 +146,13 @@ def _extents(comparison: Comparison) -> list[dict[str, Any]]:
     sizes = [mesh.extents_mm for mesh in (comparison.measured, comparison.reference)]
     bounds = [mesh.bounds_mm for mesh in (comparison.measured, comparison.reference)]
     names = ("along x", "along y", "height, along z")
-    rows = [
-        {"name": name, "print": float(sizes[0][k]), "reference": float(sizes[1][k])} for k, name in enumerate(names)
+    pairs = {name: (float(sizes[0][k]), float(sizes[1][k])) for k, name in enumerate(names)}
+    for k, end in enumerate(("lower", "upper")):
+        pairs[f"{end} end, z"] = float(bounds[0][k, 2]), float(bounds[1][k, 2])
+    return [
+        {"name": name, "print": printed, "reference": meant, "difference": printed - meant}
+        for name, (printed, meant) in pairs.items()
     ]
-    rows += [
-        {"name": f"{end} end, z", "print": float(bounds[0][k, 2]), "reference": float(bounds[1][k, 2])}
-        for k, end in enumerate(("lower", "upper"))
-    ]
-    return [row | {"difference": float(row["print"]) - float(row["reference"])} for row in rows]  # type: ignore[arg-type]
 
 
 def _alignment_words(registration: Registration | None) -> list[str]:

@@ -114,8 +114,8 @@ def draw(mesh: Mesh, colours: NDArray[np.uint8], view: View, pixel_mm: float) ->
     flat[pixel, 3] = 255
     image = flat.reshape(*grid.shape, 4)
     image[_depth_edges(depth.reshape(grid.shape), _EDGE_SHARE * columns * pixel_mm), :3] *= _EDGE_SHADE
-    extent = (low[0], low[0] + columns * pixel_mm, low[1], low[1] + rows * pixel_mm)
-    return Drawing(_reduced(image)[::-1], tuple(float(value) for value in extent))  # type: ignore[arg-type]
+    left, lower = float(low[0]), float(low[1])
+    return Drawing(_reduced(image)[::-1], (left, left + columns * pixel_mm, lower, lower + rows * pixel_mm))
 
 
 def _corner_normals(mesh: Mesh) -> FloatArray:

@@ -39,7 +39,7 @@ def from_table(kind: type[_Table], table: object, where: str, *, leaving: frozen
     >>> from_table(Scattering, {"steepness": 10}, "resin.toml [scattering]").steepness
     10.0
     """
-    named = {_key_of(field.name): field for field in fields(kind) if field.name not in leaving}  # type: ignore[arg-type]
+    named = {_key_of(field.name): field for field in fields(kind) if field.name not in leaving}  # type: ignore[arg-type]  # a dataclass
     if not isinstance(table, dict):
         raise InputError(where, f"is {table!r}", accepted=f"a table of {', '.join(named)}")
     for key in table:
