@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from vialight.arrays import Float32Array, FloatArray, IntArray
+from vialight.commands import PlanSettings
 from vialight.commands.rehearsing import Design, Rehearser, lowest
 from vialight.commands.stop_models import stop_model_for
 from vialight.config import Rig
@@ -38,7 +39,7 @@ from vialight.viewing import ray_tilt
 
 VOXEL_MM, BINNING = 0.2, 2
 ANGLES, PASSES = 180, 20
-IRRADIANCE_MW_PER_CM2 = 90.0
+IRRADIANCE_MW_PER_CM2 = 25.0
 """So that a part of plain walls takes the paper's 17 turns."""
 FRAMES_A_TURN, LOOK_FRAMES = 180, 6
 """Frames between predictions; live, there is one with each."""
@@ -155,7 +156,7 @@ def printer(irradiance_mw_per_cm2: float = IRRADIANCE_MW_PER_CM2) -> Rig:
 
 
 def plan_for(part: Mesh, rig: Rig, voxel_mm: float = VOXEL_MM, angles: int = ANGLES, passes: int = PASSES) -> Plan:
-    """Plan a part on coarse voxels, its light without a ceiling: such prints take some twenty turns."""
+    """Plan a part on coarse voxels, and else as `vialight plan` does by default."""
     grid = target_grid(part, voxel_mm)
     target = voxelise(part, grid, coverage=True)
     optics = rig.writing_optics()
@@ -163,10 +164,10 @@ def plan_for(part: Mesh, rig: Rig, voxel_mm: float = VOXEL_MM, angles: int = ANG
     radius = min(max(grid.shape[1:]) / 2 * grid.voxel_mm, 0.98 * optics.field_radius_mm)
     light = light_for(
         grid, angles, radius_mm=radius, absorption_per_mm=rig.resin.absorption_per_mm or 0.0,
-        tilt_at=ray_tilt(strip_positions(radius, voxel_mm), optics), climbing=True,
+        tilt_at=ray_tilt(strip_positions(radius, voxel_mm), optics), climbing=True, held=PlanSettings().held,
     )  # fmt: skip
     goal = Goal(np.ascontiguousarray(target.transpose(1, 2, 0)), light.reach)
-    best, _ = optimise(goal, light, method_named("object-space", ceiling=1.0), passes)
+    best, _ = optimise(goal, light, method_named("object-space"), passes)
     return Plan(make_patterns(best.projections, light, grid, rig), part, target, grid, rig)
 
 

@@ -133,7 +133,7 @@ _HEAD = """# When a print stops
 Made by `python benchmarks/stopping.py --markdown docs/stopping.md`, Python {python}.  How `auto` decides, and why so,
 is in [ADR 6](adr/0006-when-to-stop.md).
 
-The twin prints five parts, planned on voxels of {voxel:g} mm without a ceiling, in DUDMA, with {irradiance:g}
+The twin prints five parts, planned on voxels of {voxel:g} mm, in DUDMA, with {irradiance:g}
 mW/cm^2 at level 255 and noisy frames of 0.31 mm pixels.  The live volume is that of `live.SlidingWindow`, looked at
 thirty times a turn.
 All that is known beforehand is a rehearsal of the plan in resins of nominal chemistry.
