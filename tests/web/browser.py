@@ -22,16 +22,25 @@ FLAGS = (
 _PATIENCE_S = 20.0
 
 
-@contextmanager
-def chromium(*more_flags: str) -> Iterator[Browser]:
-    """Start chromium; without it the test is skipped, but not where CI is to have it."""
+def find_chromium() -> str:
+    """Return the path of chromium; without it the test is skipped, but not where CI is to have it."""
     path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if path is None:
         skip_without("chromium is not installed: apt-get install chromium")
+    return path
+
+
+def all_flags(*more_flags: str) -> list[str]:
+    """Return what chromium is started with."""
     # Chromium's own sandbox needs rights that root in a container does not have.
-    flags = [*FLAGS, *more_flags, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+    return [*FLAGS, *more_flags, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+
+
+@contextmanager
+def chromium(*more_flags: str) -> Iterator[Browser]:
+    """Start chromium."""
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=flags)
+        browser = playwright.chromium.launch(executable_path=find_chromium(), args=all_flags(*more_flags))
         try:
             yield browser
         finally:
