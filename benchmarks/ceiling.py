@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from planning import Part, Peers, Way, judge, optimise, parts, patterns_of
 
+from vialight.commands import PlanSettings
 from vialight.projections import CEILING, method_named
 
 PASSES = 20
@@ -26,7 +27,8 @@ def table(part: Part) -> list[str]:
     """Return a line of Markdown for each ceiling."""
     lines = []
     for ceiling in CEILINGS:
-        projections = optimise(part, Way(method_named("object-space", ceiling=ceiling), PASSES))
+        method = method_named("object-space", ceiling=ceiling)
+        projections = optimise(part, Way(method, PASSES, held=PlanSettings().held))
         score = judge(patterns_of(projections), part)
         # The judge's dose is in levels times rad: a level of 255 for a rad is all light for so many seconds.
         exposure = IRRADIANCE_MW_PER_CM2 * score.best_threshold / 255 / np.radians(SPEED_DEG_S)
