@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from printing.prints import SPEED_DEG_S, quick_rig
+from printing.prints import quick_rig
 from vialight.commands.recording import RecordSettings, record_turns
 from vialight.config import load_rig
 from vialight.errors import InputError
@@ -24,13 +24,16 @@ from vialight.surface import isosurface
 from vialight.twin import load_resin
 
 SAMPLE_PART = Path(__file__).parents[2] / "src" / "vialight" / "sample" / "part.stl"
-RATE_HZ = 20.0
+RATE_HZ, SPEED_DEG_S = 20.0, 60.0
+"""3 deg a frame: with twice as much, where the part's corners come out hangs on where the turn begins."""
 
 
 @pytest.fixture(scope="module")
 def rig_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path: Path = tmp_path_factory.mktemp("rig") / "rig.toml"
-    path.write_text(rig_to_toml(quick_rig()), encoding="utf-8")
+    rig = quick_rig()
+    slower = rig.model_copy(update={"stage": rig.stage.model_copy(update={"speed_deg_s": SPEED_DEG_S})})
+    path.write_text(rig_to_toml(slower), encoding="utf-8")
     return path
 
 
