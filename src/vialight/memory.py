@@ -49,5 +49,5 @@ class _NoOverlap(CompilerBase):
         return [DefaultPassBuilder.define_nopython_pipeline(self.state)]  # type: ignore[no-untyped-call]  # of numba
 
 
-without_overlap: Callable[[Any], Any] = njit(fastmath=FAST_MATH, nogil=True, cache=True, pipeline_class=_NoOverlap)
+without_overlap: Callable[[Any], Any] = njit(fastmath=FAST_MATH, cache=True, pipeline_class=_NoOverlap)
 """Compile a function of arrays of which no two share memory."""

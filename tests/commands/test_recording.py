@@ -31,9 +31,7 @@ RATE_HZ, SPEED_DEG_S = 20.0, 60.0
 @pytest.fixture(scope="module")
 def rig_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path: Path = tmp_path_factory.mktemp("rig") / "rig.toml"
-    rig = quick_rig()
-    slower = rig.model_copy(update={"stage": rig.stage.model_copy(update={"speed_deg_s": SPEED_DEG_S})})
-    path.write_text(rig_to_toml(slower), encoding="utf-8")
+    path.write_text(rig_to_toml(quick_rig(SPEED_DEG_S)), encoding="utf-8")
     return path
 
 

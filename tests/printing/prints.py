@@ -27,12 +27,12 @@ BINNING = 4
 REFRESH_HZ = 32.0
 
 
-def quick_rig() -> Rig:
-    """The paper's printer, six times as fast and bright enough to gel within a turn."""
+def quick_rig(speed_deg_s: float = SPEED_DEG_S) -> Rig:
+    """The paper's printer, six times as fast unless told otherwise, and bright enough to gel within a turn."""
     rig = load_resin("DUDMA").in_vial_of(find_rig("orth2022-190"))
     return rig.model_copy(
         update={
-            "stage": rig.stage.model_copy(update={"speed_deg_s": SPEED_DEG_S}),
+            "stage": rig.stage.model_copy(update={"speed_deg_s": speed_deg_s}),
             "projector": rig.need_projector().model_copy(update={"irradiance_mw_per_cm2": 500.0}),
             "resin": rig.resin.model_copy(update={"threshold": 55.0}),
         }

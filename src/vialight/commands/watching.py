@@ -158,7 +158,8 @@ class _Replay:
                 status_at = time.monotonic()
                 on_status(self._publish())
         if (surfaces := self._boxes / "surface").exists():
-            self._surfaces, self._last = Mailbox(surfaces).newest() or (0, None)
+            with Mailbox(surfaces) as box:
+                self._surfaces, self._last = box.newest() or (0, None)
 
     def _look(self) -> None:
         if self._snapshot_box is None:

@@ -46,11 +46,9 @@ class Light:
     @property
     def geometry_held(self) -> StripGeometry:
         """With every angle that projections shine at, those of one after those of the other."""
-        psi = self.geometry.psi_rad
-        # With `from_both_sides` projections share half a turn, each way.
-        share = TURN_RAD / len(psi) / (2 if self.geometry.from_both_sides else 1)
-        beside = centred(self.held, share / self.held)
-        return replace(self.geometry, psi_rad=(psi[:, None] + beside).ravel())
+        one_way = self.step_rad / (2 if self.geometry.from_both_sides else 1)
+        beside = centred(self.held, one_way / self.held)
+        return replace(self.geometry, psi_rad=(self.geometry.psi_rad[:, None] + beside).ravel())
 
     @property
     def reach(self) -> Float32Array:

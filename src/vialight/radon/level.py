@@ -66,17 +66,22 @@ def backproject(
     s_of_x, s_of_y = np.cos(psi_rad) / spacing_mm, -np.sin(psi_rad) / spacing_mm
     if slices is None:
         slices = np.empty((filtered.shape[2], len(y_mm), len(x_mm)), np.float32)
-    depth = _FEW_SLICES if len(slices) <= _FEW_SLICES else _MANY_SLICES
-    # Whole passes of angles, the last filled with zeros, and stacks that begin on a cache line.
-    padded = aligned_zeros((len(psi_rad), filtered.shape[1], depth))
-    for start in range(0, len(slices), depth):
-        stack = slices[start : start + depth]
-        padded[: len(filtered), :, : len(stack)] = filtered[..., start : start + depth]
+    for start in range(0, len(slices), _MANY_SLICES):
+        stack = slices[start : start + _MANY_SLICES]
+        depth = _FEW_SLICES if len(stack) <= _FEW_SLICES else _MANY_SLICES
         _backproject(
-            padded, (0,) * (depth // FLOATS_A_LINE), s_of_x, s_of_y, first_s_mm / spacing_mm, x_mm, y_mm, radius_mm,
-            stack,
+            _padded(filtered[..., start : start + _MANY_SLICES], depth), (0,) * (depth // FLOATS_A_LINE),
+            s_of_x, s_of_y, first_s_mm / spacing_mm, x_mm, y_mm, radius_mm, stack,
         )  # fmt: skip
     return slices.transpose(1, 2, 0)
+
+
+def _padded(filtered: Float32Array, depth: int) -> Float32Array:
+    """Copy (psi, s, z) to where every stack of slices begins on a cache line, zeros filling the last pass and stack."""
+    angles, samples, count = filtered.shape
+    padded = aligned_zeros((angles + -angles % _ANGLES_A_PASS, samples, depth))
+    padded[:angles, :, :count] = filtered
+    return padded
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
