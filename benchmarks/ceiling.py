@@ -12,9 +12,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from planning import Part, Peers, Way, judge, optimise, parts, patterns_of
+from planning import HELD, Part, Peers, Way, judge, optimise, parts, patterns_of
 
-from vialight.commands import PlanSettings
 from vialight.projections import CEILING, method_named
 
 PASSES = 20
@@ -28,7 +27,7 @@ def table(part: Part) -> list[str]:
     lines = []
     for ceiling in CEILINGS:
         method = method_named("object-space", ceiling=ceiling)
-        projections = optimise(part, Way(method, PASSES, held=PlanSettings().held))
+        projections = optimise(part, Way(method, PASSES, held=HELD))
         score = judge(patterns_of(projections), part)
         # The judge's dose is in levels times rad: a level of 255 for a rad is all light for so many seconds.
         exposure = IRRADIANCE_MW_PER_CM2 * score.best_threshold / 255 / np.radians(SPEED_DEG_S)

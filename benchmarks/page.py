@@ -193,7 +193,6 @@ class Tab:
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._asked = socket, 0
-
         # A page that is not in front would not be drawn.
         self._ask("Emulation.setFocusEmulationEnabled", enabled=True)
 
@@ -205,7 +204,6 @@ class Tab:
     def _ask(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._asked += 1
         self._socket.send(json.dumps({"id": self._asked, "method": method, "params": parameters}))
-        answer: dict[str, Any] = {}
         while (answer := json.loads(self._socket.recv(timeout=60))).get("id") != self._asked:
             pass
         return dict(answer.get("result", {}))

@@ -49,6 +49,8 @@ ROUNDS, SHORT_ROUNDS = 2, 1
 PEER_LIMIT_S = 3600
 BOAT = Path(os.environ.get("VIALIGHT_CASES", "../shared/cases")) / "boat" / "boat.stl"
 BEST, DRTVAM = "vialight object-space, 30 passes, void limit 0.87", "Dr.TVAM threshold loss"
+HELD = PlanSettings().held
+"""As `vialight plan` has it."""
 SPEED_GOAL, LARGE_GOAL_S = 20.0, 10.0
 LARGE_VOXELS = "200 x 256 x 256"
 SAME_METHOD = {
@@ -181,17 +183,16 @@ class Way(NamedTuple):
 
 def own_ways() -> dict[str, Way]:
     """Return vialight's rows of the tables."""
-    held = PlanSettings().held
     return {
         # What the first pass shows is the part, filtered and clipped at 0.
         "vialight FBP": Way(method_named("object-space", ceiling=1), 1),
         "vialight normalised, the paper's": Way(method_named("normalised"), 2),
         f"vialight osmo, {VAM_ITERATIONS} passes": Way(method_named("osmo"), VAM_ITERATIONS),
         f"vialight gradient, {VAM_ITERATIONS} steps": Way(method_named("gradient", steps=10), VAM_ITERATIONS // 10),
-        "vialight object-space, 10 passes": Way(method_named("object-space"), 10, held=held),
+        "vialight object-space, 10 passes": Way(method_named("object-space"), 10, held=HELD),
         "vialight object-space, 20 passes, flashes": Way(method_named("object-space"), 20),
-        "vialight object-space, 20 passes, its defaults": Way(method_named("object-space"), 20, held=held),
-        BEST: Way(method_named("object-space"), 30, 0.87, held),
+        "vialight object-space, 20 passes, its defaults": Way(method_named("object-space"), 20, held=HELD),
+        BEST: Way(method_named("object-space"), 30, 0.87, HELD),
     }
 
 
@@ -331,10 +332,8 @@ def seconds_for_large(rounds: int) -> float:
     z, y, x = np.meshgrid(grid.z_mm, grid.y_mm, grid.x_mm, indexing="ij", sparse=True)
     inside = (np.maximum(np.hypot(x, y) - 6, np.abs(z) - 6) < 0) & (np.hypot(x - 2, y + 1) > 1.5)
     part = Part("large", Mesh(np.eye(3), np.array([[0, 1, 2]])), grid, inside.astype(np.float32), 360)
-    return min(
-        _timed(partial(optimise, part, Way(method_named("normalised"), 2, held=PlanSettings().held)))
-        for _ in range(rounds)
-    )
+    way = Way(method_named("normalised"), 2, held=HELD)
+    return min(_timed(partial(optimise, part, way)) for _ in range(rounds))
 
 
 def quality_by_passes(part: Part) -> list[str]:
@@ -346,7 +345,7 @@ def quality_by_passes(part: Part) -> list[str]:
         "gradient": ("times ten steps", (1, 2, 4)),
     }
     for name, (told, shown) in methods.items():
-        light = light_for(part.grid, part.angles, held=PlanSettings().held)
+        light = light_for(part.grid, part.angles, held=HELD)
         goal = Goal(np.ascontiguousarray(part.inside.transpose(1, 2, 0)), light.reach)
         start = time.perf_counter()
         judging = 0.0

@@ -38,7 +38,7 @@ CORES = 2
 SLICES, SHORT_SLICES = 300, 32
 ROUNDS, SHORT_ROUNDS = 7, 1
 STARTS = 5
-_REST_S, _ROOM_BYTES = 0.5, 2**30
+REST_S, ROOM_GB = 0.5, 1
 """Before each method.  Threads of the one before (OpenMP) stay awake for a while, and would take a core from it; memory
 that has lain idle has to be got back from the host of a virtual machine, which the first to want it would pay for."""
 OURS = "vialight, from frames"
@@ -152,8 +152,8 @@ def compare(problem: Problem, rounds: int) -> dict[str, Result | None]:
             result = results[method.name]
             if result is None:
                 continue
-            time.sleep(_REST_S)
-            np.ones(_ROOM_BYTES // 4, np.float32)
+            time.sleep(REST_S)
+            np.ones(ROOM_GB * 2**28, np.float32)
             start, processor_start = time.perf_counter(), time.process_time()
             made = method.run(data[method.data])
             seconds, processor_seconds = time.perf_counter() - start, time.process_time() - processor_start
@@ -346,13 +346,7 @@ def report(problem: Problem, rounds: int, short: bool) -> str:
             + [f"| {count} | {seconds:.2f} | {1000 * seconds / count:.2f} |" for count, seconds in heights.items()]
         ),
         REMARKS.format(
-            slices=problem.slices,
-            columns=COLUMNS,
-            cores=CORES,
-            frames=FRAMES,
-            rounds=rounds,
-            rest=_REST_S,
-            room=_ROOM_BYTES >> 30,
+            slices=problem.slices, columns=COLUMNS, cores=CORES, frames=FRAMES, rounds=rounds, rest=REST_S, room=ROOM_GB
         ).rstrip(),
     ]
     return "\n\n".join(sections) + "\n"
