@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from vialight.arrays import Float32Array, FloatArray, ParallelBeam
 from vialight.radon import FilterName, backproject, backproject_tilted, filter_rays, project_tilted, ramp_filter
 
 DEFAULT_FILTER: FilterName = "cosine"
+
+_SMOOTHED = 2.0
+"""Voxels of standard deviation: 0.93 passes of what rays that climb by 6 % leave unmeasured."""
 
 
 def reconstruct_slices(
@@ -107,12 +111,13 @@ def reconstruct_climbing(
 
     The rays of one circular orbit climb alike from all sides: at a height z they leave a cone of frequencies about the
     axis unmeasured, as steep as they are (Tuy 1983), without which end faces lose their rims.  With A, F and B for
-    projection, filter and backprojection, c along climbing and l along level rays, and x_l = B_l F p,
+    projection, filter and backprojection, c along climbing and l along level rays, and x_l = G B_l F p,
 
         x = B_c F p + (B_l F A_l - B_c F A_c) x_l
 
     Where frequencies are measured the bracket is nothing and the first term is right; in the cone the first term and
-    B_c F A_c are nothing, and what level rays make of the projections stays.
+    B_c F A_c are nothing, and what level rays make of the projections stays.  The cone is narrow, so that x_l may be
+    smoothed in the plane, by G, beforehand: what noise the bracket would let through is gone.
 
     Parameters
     ----------
@@ -132,7 +137,8 @@ def reconstruct_climbing(
     """
     outside = np.hypot(x_mm, y_mm[:, None]) > radius_mm
     by_level_rays = reconstruct_slices(sinogram, beam, x_mm, y_mm, filter_name=filter_name, radius_mm=radius_mm)
-    columns = np.ascontiguousarray(np.where(outside, np.float32(0), by_level_rays).transpose(1, 2, 0))
+    smooth = gaussian_filter(np.where(outside, np.float32(0), by_level_rays), (0, _SMOOTHED, _SMOOTHED))
+    columns = np.ascontiguousarray(smooth.transpose(1, 2, 0))
     psi, s, flat = beam.psi_rad, beam.virtual_x_mm, np.zeros_like(tilt_per_mm)
     unexplained = sinogram - project_tilted(columns, psi, s, tilt_per_mm, mid_height_mm, x_mm, y_mm)
     first = round((z_mm[0] - mid_height_mm[0]) / (mid_height_mm[1] - mid_height_mm[0]))
