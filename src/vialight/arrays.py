@@ -28,9 +28,6 @@ BoolArray = NDArray[np.bool_]
 
 TURN_RAD = 2 * np.pi
 
-FAST_MATH = {"reassoc", "contract", "nsz", "arcp"}
-"""What kernels may do to arithmetic: sums in any order, but NaN and infinity keep their meaning."""
-
 
 @dataclass(frozen=True)
 class Grid:

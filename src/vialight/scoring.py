@@ -14,10 +14,11 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, Grid, centred
+from vialight.arrays import BoolArray, Float32Array, FloatArray, Grid, centred
 from vialight.config import Rig
 from vialight.plan import Patterns
 from vialight.strips import StripGeometry, backproject_strips
+from vialight.vectors import FAST_MATH
 from vialight.viewing import pixel_rays, pixels_of, ray_tilt
 
 SUBVOXELS = 3

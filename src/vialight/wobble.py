@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from vialight.arrays import FAST_MATH, FloatArray
+from vialight.arrays import FloatArray
 from vialight.config import RunOut
+from vialight.vectors import FAST_MATH
 
 Offset = tuple[float, float]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, TURN_RAD, Float32Array, FloatArray
+from vialight.arrays import TURN_RAD, Float32Array, FloatArray
+from vialight.vectors import FAST_MATH
 from vialight.wobble import really_seen
 
 AXIS, TILT, OUT_X, OUT_Y, DRIFT = range(5)

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import map_coordinates
 
-from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, Grid, Volume
+from vialight.arrays import BoolArray, Float32Array, FloatArray, Grid, Volume
 from vialight.errors import InputError
 from vialight.links import Sums
 from vialight.mesh import Mesh
@@ -16,6 +16,7 @@ from vialight.metrology import sample_surface, signed_distance
 from vialight.metrology.distance import SurfaceTree
 from vialight.surface import isosurface
 from vialight.target import voxelise
+from vialight.vectors import FAST_MATH
 
 MARGIN_MM = 1.0
 """Of resin about the reference that is looked at each second."""

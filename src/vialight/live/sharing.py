@@ -12,7 +12,7 @@ import numpy as np
 
 from vialight.arrays import Float32Array, Grid
 from vialight.live.analysis import grid_of
-from vialight.memory import padded_depth
+from vialight.vectors import padded_depth
 
 _HEAD = struct.Struct("<QQQddd")
 """Number told, number looked at, frames, time, lit time, angle turned."""
@@ -48,7 +48,7 @@ class SharedVolume:
     Attributes
     ----------
     whole : Float32Array
-        (y, x, z) all of it, as deep as `vialight.memory.padded_depth` says: what a window keeps its volume in.
+        (y, x, z) all of it, as deep as `vialight.vectors.padded_depth` says: what a window keeps its volume in.
     grid : Grid
         Of the region that is looked at.
     density : Float32Array

@@ -19,7 +19,6 @@ from vialight.errors import InputError
 from vialight.links import Sums
 from vialight.live.schedule import Schedule
 from vialight.live.turn import LatestTurn
-from vialight.memory import aligned_zeros, padded_depth
 from vialight.pipeline import SLICES_A_BLOCK, field_radius_mm, grid_of_view
 from vialight.radon import FilterName, ramp_filter
 from vialight.radon.filters import filter_few, padded_filter
@@ -27,6 +26,7 @@ from vialight.radon.updating import AxisSums, add_projections
 from vialight.radon.workers import Workers
 from vialight.sinogram import bin_frames, parallel_beam, straightening
 from vialight.sinogram.streaming import LOST, NEVER, fold_changes, ray_taps, read_view, renew_rays
+from vialight.vectors import aligned_zeros, padded_depth
 from vialight.volume import DEFAULT_FILTER
 
 
@@ -151,7 +151,7 @@ class SlidingWindow:
         Parameters
         ----------
         memory
-            (y, x, z) float32, in C order, z as deep as `vialight.memory.padded_depth` says.
+            (y, x, z) float32, in C order, z as deep as `vialight.vectors.padded_depth` says.
         """
         memory[...] = self._volume
         self._volume = memory

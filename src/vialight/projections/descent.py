@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.arrays import Float32Array, FloatArray
 from vialight.projections.goals import Goal, State, make_light, strips_of_use
 from vialight.projections.light import Light, collect, dose_of, filtered_projections
 from vialight.radon import filter_rays, ramp_filter
+from vialight.vectors import FAST_MATH
 
 
 def gradient(goal: Goal, light: Light, state: State | None = None, *, steps: int = 10) -> Iterator[State]:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.arrays import Float32Array, FloatArray
 from vialight.projections.light import Light
+from vialight.vectors import FAST_MATH
 
 VOID_LIMIT = 0.85
 """Dose that a void may reach, where the part gets 1, by default."""

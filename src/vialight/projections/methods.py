@@ -13,9 +13,10 @@ from typing import Literal
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array
+from vialight.arrays import Float32Array
 from vialight.projections.goals import Goal, State, make_light, strips_of_use
 from vialight.projections.light import Light, dose_of, filtered_projections
+from vialight.vectors import FAST_MATH
 
 MethodName = Literal["object-space", "osmo", "gradient", "normalised"]
 

@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, TURN_RAD, Float32Array, FloatArray, Grid
+from vialight.arrays import TURN_RAD, Float32Array, FloatArray, Grid
 from vialight.config import Rig
 from vialight.errors import InputError
 from vialight.plan import Patterns
 from vialight.projections.light import Light
+from vialight.vectors import FAST_MATH
 from vialight.viewing import PixelRays, pixel_rays, pixels_in_reach
 
 LEVELS = 255

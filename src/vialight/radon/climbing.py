@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.arrays import Float32Array, FloatArray
 from vialight.radon.taps import tap
+from vialight.vectors import FAST_MATH
 
 
 def backproject_tilted(

@@ -7,10 +7,10 @@ from typing import Literal, get_args
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.arrays import Float32Array, FloatArray
 from vialight.errors import InputError
-from vialight.memory import aligned_zeros
 from vialight.radon.workers import Workers
+from vialight.vectors import FAST_MATH, aligned_zeros
 
 FilterName = Literal["ram-lak", "shepp-logan", "cosine", "hann"]
 

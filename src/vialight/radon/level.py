@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray
-from vialight.memory import FLOATS_A_LINE, aligned_zeros, without_overlap
+from vialight.arrays import Float32Array, FloatArray
 from vialight.radon.taps import tap
+from vialight.vectors import FAST_MATH, FLOATS_A_LINE, aligned_zeros, without_overlap
 
 _TILE = 16
 """Pixels along the edge of a tile: its sums stay in the second cache; what a run of pixels reads in the first, for the

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from vialight.vectors import FAST_MATH
 
-@njit(inline="always")
+
+@njit(inline="always", fastmath=FAST_MATH)
 def tap(position: float, samples: int) -> tuple[int, np.float32, np.float32]:
     """Return index and the two weights of linear interpolation; weights 0 outside the samples.  Free of branches."""
     index = max(min(int(position), samples - 2), 0)

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray, IntArray
-from vialight.memory import aligned_zeros
+from vialight.arrays import Float32Array, FloatArray, IntArray
 from vialight.radon.taps import tap
 from vialight.radon.workers import Workers
+from vialight.vectors import FAST_MATH, aligned_zeros
 
 _ANGLES_A_PASS = 3
 """Projections added before a column is written back."""

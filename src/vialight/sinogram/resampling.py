@@ -6,9 +6,10 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from vialight.arrays import FAST_MATH, TURN_RAD, BoolArray, Float32Array, FloatArray, IntArray, ParallelBeam
+from vialight.arrays import TURN_RAD, BoolArray, Float32Array, FloatArray, IntArray, ParallelBeam
 from vialight.config import Camera, Optics
 from vialight.sinogram.turns import check_gaps, nominal_step, sorted_turn
+from vialight.vectors import FAST_MATH
 from vialight.viewing import columns_and_directions, rows_and_plan_share
 
 AngleTaps = tuple[np.intp, np.intp, np.intp, np.intp, np.float32, np.float32, np.float32, np.float32, np.float32]

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.arrays import Float32Array, FloatArray
 from vialight.config import Camera, Optics, RunOut
 from vialight.sinogram.resampling import spline_coefficients
+from vialight.vectors import FAST_MATH
 from vialight.wobble import Offset, really_seen, seen_from_the_vial, vial_centre_mm
 
 _MARGIN = 8

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vialight.arrays import FAST_MATH, TURN_RAD, Float32Array, FloatArray, IntArray, ParallelBeam
+from vialight.arrays import TURN_RAD, Float32Array, FloatArray, IntArray, ParallelBeam
 from vialight.config import Camera, Optics
 from vialight.sinogram.resampling import (
     BRIDGED_GAP_STEPS,
@@ -23,6 +23,7 @@ from vialight.sinogram.resampling import (
     row_taps,
     spline_coefficients,
 )
+from vialight.vectors import FAST_MATH
 from vialight.viewing import columns_and_directions, rows_and_plan_share
 
 NEVER, LOST, BRIDGED, SEEN = 0, 1, 2, 3

@@ -21,10 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vialight.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from vialight.memory import aligned_zeros
 from vialight.strips import climbing, level
 from vialight.strips.layouts import SPARE, filled_boxes, lit_strips, voxel_rows, whole_vectors
 from vialight.strips.shadows import absorbed, parts_of
+from vialight.vectors import aligned_zeros
 
 _TILE, _WIDE_TILE, _DEPTH_OF_WIDE_TILES = 16, 32, 96
 """Edges of tiles in voxels; up to how many slices a wide one stays in a cache of 512 kB."""

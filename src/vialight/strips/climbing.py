@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, BoolArray, Float32Array, FloatArray, IntArray
-from vialight.memory import without_overlap
+from vialight.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from vialight.strips.level import (
     ANGLES_A_JOB,
     ENTRIES_A_PASS,
@@ -21,6 +20,7 @@ from vialight.strips.level import (
 )
 from vialight.strips.shadows import TAPS, Int32Array, shadows, weaken
 from vialight.strips.sums import IDS, ROWS_A_PAIR, add_rows_to_two, add_shadows, fill_up, list_by_strip
+from vialight.vectors import FAST_MATH, without_overlap
 
 _PARTS_A_PASS = ENTRIES_A_PASS // 2
 """Angles, or parts of shadows, summed before a voxel is written back: each counts at the knots before and behind it."""

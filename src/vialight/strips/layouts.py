@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 from vialight.arrays import BoolArray, Float32Array, IntArray
-from vialight.memory import aligned_zeros
+from vialight.vectors import aligned_zeros
 
 _FLOATS_A_VECTOR = 8
 _PAGE, _LINES = 4096, 16

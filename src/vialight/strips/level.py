@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray, IntArray
+from vialight.arrays import Float32Array, FloatArray, IntArray
 from vialight.strips.shadows import TAPS, Int32Array, gathered, shadows, weaken, weaken_gathered
 from vialight.strips.sums import add_shadows
+from vialight.vectors import FAST_MATH
 
 ENTRIES_A_PASS = 4
 """Angles, or parts of shadows, summed before a voxel is written back; twelve weights just fit the registers."""

@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vialight.arrays import FAST_MATH, Float32Array, FloatArray
+from vialight.arrays import Float32Array, FloatArray
+from vialight.vectors import FAST_MATH
 
 TAPS = 3
 """Strips that a shadow falls on, at most, by parts: one of a voxel no wider than sqrt(2) strips has one part."""

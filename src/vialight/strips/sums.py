@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vialight.arrays import FAST_MATH, BoolArray, Float32Array
-from vialight.memory import without_overlap
+from vialight.arrays import BoolArray, Float32Array
 from vialight.strips.shadows import Int32Array
+from vialight.vectors import FAST_MATH, without_overlap
 
 IDS = np.uint32
 ROWS_A_PAIR = 6

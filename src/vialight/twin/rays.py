@@ -16,8 +16,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
-from vialight.arrays import FAST_MATH, FloatArray
+from vialight.arrays import FloatArray
 from vialight.config import Optics
+from vialight.vectors import FAST_MATH
 
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 

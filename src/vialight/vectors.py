@@ -1,4 +1,8 @@
-"""Memory that vectors read without crossing cache lines, and loops that know that theirs does not overlap."""
+"""How kernels become vector instructions: what may be done to sums, how wide, in which memory, with which promises.
+
+Every module of kernels imports this, and so settles the width before it declares the first of them: numba makes its
+compiler then, for all of the process.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,22 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
+from llvmlite.binding import get_host_cpu_name
+from numba import config, njit
+from numba.core.codegen import get_host_cpu_features
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
-from vialight.arrays import FAST_MATH, Float32Array
+from vialight.arrays import Float32Array
+
+FAST_MATH = {"reassoc", "contract", "nsz", "arcp"}
+"""What kernels may do to arithmetic: sums in any order, but NaN and infinity keep their meaning."""
+
+WIDE = ("sapphirerapids", "emeraldrapids", "graniterapids")
+"""Processors that keep their clock with 512-bit vectors, which the compiler avoids on them as on their forebears."""
+
+if config.CPU_FEATURES is None and get_host_cpu_name() in WIDE:  # type: ignore[attr-defined]  # set as numba loads
+    # What NUMBA_CPU_FEATURES sets, if a user does; kernels kept on disk are told apart by it.
+    config.CPU_FEATURES = f"{get_host_cpu_features()},-prefer-256-bit"  # type: ignore[attr-defined, no-untyped-call]
 
 _CACHE_LINE = 64
 """Bytes.  A vector that lies across two lines takes two reads; NumPy begins large arrays 16 bytes into a line."""
