@@ -14,6 +14,10 @@ import h5py
 import numpy as np
 import pytest
 
+from vialight import cli
+from vialight.commands import PlanSettings
+from vialight.pipeline import Settings
+
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "src" / "vialight" / "sample"
 PROGRAM = str(Path(sys.executable).parent / "vialight")
@@ -299,3 +303,13 @@ def test_a_plan_that_cannot_be_made_gets_one_line(arguments: list[object], messa
     assert done.stderr.count("\n") == 1
     assert message in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_defaults_are_those_of_the_library() -> None:
+    """They stand twice, as the command line may import nothing heavy to answer."""
+    rig, part, frames = (str(SAMPLE / name) for name in ("printer.toml", "part.stl", "frames.h5"))
+    planned = cli.plan.make_context("plan", [part, "--rig", rig, "--out", "plan.h5"]).params
+    assert cli._plan_settings(planned) == PlanSettings()
+    told = cli.reconstruct.make_context("reconstruct", [frames, "--rig", rig, "--out", "print"]).params
+    names = [told[name] for name in ("voxel", "binning", "turn", "accurate", "filter_name")]
+    assert Settings(*names) == Settings()
