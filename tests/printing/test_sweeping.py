@@ -18,8 +18,8 @@ class Bench:
     image_shape = (2, 3)
     full_level = 4095
 
-    def __init__(self, *, silent_after: int = 10**6) -> None:
-        self.time_s, self.number, self.silent_after = 0.0, 0, silent_after
+    def __init__(self, *, silent_after: int = 10**6, late: range = range(0)) -> None:
+        self.time_s, self.number, self.silent_after, self.late = 0.0, 0, silent_after, late
         self.lease: Lease | None = None
         self.since_s = 0.0
         self.pattern: int | None = None
@@ -41,6 +41,9 @@ class Bench:
         return CameraFrame(np.full(self.image_shape, shown, np.uint16), self.time_s, self.number - 1)
 
     def position(self, timeout_s: float) -> StagePosition:
+        if self.number in self.late:
+            self.time_s += timeout_s
+            raise DeviceTimeoutError("stage", "takes long to answer")
         return StagePosition(SPEED * self.time_s, self.time_s)
 
     def stop(self) -> None:
@@ -75,6 +78,21 @@ def test_every_line_is_seen_alone_and_the_light_goes_off() -> None:
 def test_a_camera_that_falls_silent_ends_the_sweep_in_the_dark() -> None:
     bench = Bench(silent_after=40)
     with pytest.raises(DeviceTimeoutError):
+        record_sweep(Devices(bench, bench, bench, bench), direction=1, speed_rad_s=SPEED)
+    assert bench.lease is None
+    assert not bench.is_turning
+
+
+def test_a_stage_that_is_late_for_a_moment_ends_nothing() -> None:
+    bench = Bench(late=range(30, 34))
+    swept = record_sweep(Devices(bench, bench, bench, bench), direction=1, speed_rad_s=SPEED)
+    assert set(swept.pattern) == set(range(LINES))
+    np.testing.assert_array_equal(swept.counts[:, 0, 0], 100 + swept.pattern)
+
+
+def test_a_stage_that_falls_silent_ends_the_sweep_in_the_dark() -> None:
+    bench = Bench(late=range(30, 10**6))
+    with pytest.raises(DeviceTimeoutError, match="stage"):
         record_sweep(Devices(bench, bench, bench, bench), direction=1, speed_rad_s=SPEED)
     assert bench.lease is None
     assert not bench.is_turning

@@ -69,8 +69,9 @@ def record_sweep(
         dark = [devices.camera.next_frame(_SILENT_S).counts for _ in range(DARK_FRAMES)]
         # A little more than a turn: the stage has just begun to move.
         ends_s = devices.clock.now_s() + 1.1 * TURN_RAD / speed_rad_s
+        answered_s = devices.clock.now_s()
         while devices.clock.now_s() < ends_s and keep_going():
-            _renew(devices, direction, speed_rad_s, ends_s)
+            answered_s = _renew(devices, direction, speed_rad_s, ends_s, answered_s)
             shown = devices.projector.shown()
             if not changes or shown.pattern != changes[-1].pattern:
                 changes.append(shown)
@@ -83,13 +84,20 @@ def record_sweep(
     return _sorted(frames, changes, np.stack(dark), ends_s)
 
 
-def _renew(devices: Devices, direction: int, speed_rad_s: float, ends_s: float) -> None:
-    position = devices.stage.position(_STAGE_TIMEOUT_S)
+def _renew(devices: Devices, direction: int, speed_rad_s: float, ends_s: float, answered_s: float) -> float:
+    """Renew the lease, and return when the stage answered; while it does not, the light goes off with the lease."""
+    try:
+        position = devices.stage.position(_STAGE_TIMEOUT_S)
+    except DeviceTimeoutError:
+        if devices.clock.now_s() - answered_s > _SILENT_S * devices.clock.rate:
+            raise
+        return answered_s
     devices.projector.renew(
         Lease(
             time.monotonic() + LEASE_S, direction * position.angle_rad, position.time_s, direction * speed_rad_s, ends_s
         )
     )
+    return position.time_s
 
 
 def _newest(devices: Devices, frames: list[CameraFrame]) -> list[CameraFrame]:
