@@ -8,7 +8,7 @@ import pytest
 
 from vialight.web import PageProcess, PageSettings
 from web.clients import Client
-from web.pretend_print import PretendPrint
+from web.pretend_print import Pretence, PretendPrint
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -31,8 +31,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def printing(runs: Path) -> Iterator[PretendPrint]:
-    """A print that runs while the module's tests do."""
-    with PretendPrint(runs / "ring") as made:
+    """A print that runs while the module's tests do, and is still far too thin when the last of them looks at it."""
+    with PretendPrint(runs / "ring", Pretence(grows_for_s=900)) as made:
         yield made
 
 

@@ -65,7 +65,7 @@ RIG = Rig.model_validate(
         "stage": {"speed_deg_s": 20.0},
     }
 )  # fmt: skip
-_RING_MM, _TUBE_MM = 4.6, 2.0
+RING_MM, TUBE_MM = 4.6, 2.0
 VOLUME_GRID = Grid((40, 60, 60), 0.25, 1.0)
 _LIT_FROM_S = 1.0
 """On the pretended print's clock."""
@@ -88,7 +88,7 @@ class Pretence:
 
 def ring(vertices: int) -> Mesh:
     around = int(np.sqrt(vertices * 1.25))
-    made = trimesh.creation.torus(_RING_MM, _TUBE_MM, major_sections=around, minor_sections=vertices // around)
+    made = trimesh.creation.torus(RING_MM, TUBE_MM, major_sections=around, minor_sections=vertices // around)
     return Mesh(made.vertices, made.faces)
 
 
@@ -96,10 +96,10 @@ def grown(reference: Mesh, share: float) -> tuple[Float32Array, Float32Array]:
     """Return the ring's vertices when its tube has grown so far, with ripples, and their true deviations."""
     points = reference.vertices_mm
     middle = points * [1, 1, 0]
-    middle *= _RING_MM / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
+    middle *= RING_MM / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
     ripple = 0.04 * np.sin(9 * np.arctan2(points[:, 1], points[:, 0]))
-    deviation = (share - 1) * _TUBE_MM + ripple
-    moved = middle + (points - middle) * (1 + deviation / _TUBE_MM)[:, None]
+    deviation = (share - 1) * TUBE_MM + ripple
+    moved = middle + (points - middle) * (1 + deviation / TUBE_MM)[:, None]
     return moved.astype(np.float32), deviation.astype(np.float32)
 
 
@@ -248,7 +248,7 @@ class PretendPrint:
 
     def _snapshot(self) -> Snapshot:
         share = self.share
-        cured = [np.where(image > 2 * _TUBE_MM * (1 - share), image * share, 0) for image in self._sums]
+        cured = [np.where(image > 2 * TUBE_MM * (1 - share), image * share, 0) for image in self._sums]
         density = [180 * image + 12 * self._noise[: image.shape[0], : image.shape[1]] for image in cured]
         voxel, now = 17.2 / self.pretence.size, self.now_s
         return Snapshot(
