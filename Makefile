@@ -55,7 +55,7 @@ lint: setup
 # virtual machine may stand still itself for longer than a bound allows: there a test has to fail twice.
 check: setup
 	$(BIN)/pytest -m "not alone" --numprocesses 3 --dist loadfile --no-loadscope-reorder -p no:rerunfailures
-	$(BIN)/pytest -m alone --reruns 1
+	$(BIN)/pytest -m alone --reruns 1 --max-suite-reruns 5 --rerun-show-tracebacks
 
 format: setup
 	$(BIN)/ruff format
