@@ -52,6 +52,11 @@ def aligned_zeros(shape: tuple[int, ...]) -> Float32Array:
     return room[start : start + size].reshape(shape)
 
 
+def is_aligned(array: Float32Array) -> bool:
+    """Return whether an array lies in one piece that begins on a cache line."""
+    return array.flags.c_contiguous and array.ctypes.data % _CACHE_LINE == 0
+
+
 class _NoOverlap(CompilerBase):
     """Compiles with the promise that no two arguments share memory.
 

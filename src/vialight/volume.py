@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from vialight.arrays import Float32Array, FloatArray, ParallelBeam
-from vialight.radon import FilterName, backproject, backproject_tilted, filter_rays, project_tilted, ramp_filter
+from vialight.radon import FilterName, backproject, backproject_tilted, filter_rays, fold, project_tilted, ramp_filter
 
 DEFAULT_FILTER: FilterName = "cosine"
 
@@ -26,8 +26,7 @@ def reconstruct_slices(
 ) -> Float32Array:
     """Filter and backproject a sinogram, slice by slice.
 
-    Opposite angles are folded first, ``q(psi, s) = p(psi, s) + p(psi + pi, -s)``, which is exact for a linear filter
-    and halves the work.
+    Opposite angles are folded first, which is exact for a linear filter and halves the work.
 
     Parameters
     ----------
@@ -50,8 +49,7 @@ def reconstruct_slices(
         (z, y, x) float32, per mm.
     """
     half = len(beam.psi_rad) // 2
-    folded = sinogram[:half] + sinogram[half:, ::-1]
-    filtered = _filter(folded, beam, filter_name)
+    filtered = _filter(fold(sinogram), beam, filter_name)
     first = float(beam.virtual_x_mm[0])
     made = backproject(
         filtered, beam.psi_rad[:half], first, beam.spacing_mm, x_mm, y_mm, radius_mm=radius_mm, slices=out

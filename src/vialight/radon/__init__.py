@@ -6,8 +6,8 @@ the weight of a pixel are computed once and applied to a whole column of slices.
 """
 
 from vialight.radon.climbing import backproject_tilted
-from vialight.radon.filters import FilterName, filter_rays, ramp_filter
+from vialight.radon.filters import FilterName, filter_rays, fold, ramp_filter
 from vialight.radon.level import backproject
 from vialight.radon.projecting import project_tilted
 
-__all__ = ["FilterName", "backproject", "backproject_tilted", "filter_rays", "project_tilted", "ramp_filter"]
+__all__ = ["FilterName", "backproject", "backproject_tilted", "filter_rays", "fold", "project_tilted", "ramp_filter"]

@@ -68,6 +68,29 @@ def _ram_lak(lag: FloatArray) -> FloatArray:
     return np.sinc(lag) / 2 - np.sinc(lag / 2) ** 2 / 4
 
 
+def fold(sinogram: Float32Array) -> Float32Array:
+    """Add to each ray the same one seen from the other side: ``q(psi, s) = p(psi, s) + p(psi + pi, -s)``.
+
+    Parameters
+    ----------
+    sinogram
+        (psi, s, z) float32: an even number of angles, evenly over a full turn, and s symmetric about 0.
+
+    Returns
+    -------
+    numpy.ndarray
+        (psi, s, z) float32, the first half of the angles.
+
+    Examples
+    --------
+    >>> fold(np.arange(4, dtype=np.float32).reshape(2, 2, 1)).ravel()
+    array([3., 3.], dtype=float32)
+    """
+    folded = np.empty((len(sinogram) // 2, *sinogram.shape[1:]), np.float32)
+    _fold(sinogram, folded)
+    return folded
+
+
 def filter_rays(matrix: Float32Array, rays: Float32Array) -> Float32Array:
     """Filter the rays of every angle and height.
 
@@ -95,7 +118,7 @@ def filter_rays(matrix: Float32Array, rays: Float32Array) -> Float32Array:
     samples = rays.shape[1]
     half = (samples + 1) // 2
     ahead, mirrored = matrix[:half, :half] / np.float32(2), matrix[:half, : -half - 1 : -1] / np.float32(2)
-    filtered = np.empty(rays.shape, np.float32)
+    filtered = aligned_zeros(rays.shape)
     _filter_rays(padded_filter(ahead + mirrored), padded_filter(ahead - mirrored), rays, filtered)
     return filtered
 
@@ -133,6 +156,15 @@ def filter_few(padded: Float32Array, rays: Float32Array, workers: Workers) -> Fl
 
     workers.run(len(rays) * _PARTS, work)
     return filtered
+
+
+@njit(parallel=True, fastmath=FAST_MATH, cache=True)
+def _fold(sinogram: Float32Array, folded: Float32Array) -> None:
+    angles, samples, depth = folded.shape
+    for a in prange(angles):
+        for i in range(samples):
+            for z in range(depth):
+                folded[a, i, z] = sinogram[a, i, z] + sinogram[a + angles, samples - 1 - i, z]
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST_MATH, cache=True)

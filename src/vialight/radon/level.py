@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vialight.arrays import Float32Array, FloatArray
 from vialight.radon.taps import tap
-from vialight.vectors import FAST_MATH, FLOATS_A_LINE, aligned_zeros, without_overlap
+from vialight.vectors import FAST_MATH, FLOATS_A_LINE, aligned_zeros, is_aligned, without_overlap
 
 _TILE = 16
 """Pixels along the edge of a tile: its sums stay in the second cache; what a run of pixels reads in the first, for the
@@ -77,9 +77,15 @@ def backproject(
 
 
 def _padded(filtered: Float32Array, depth: int) -> Float32Array:
-    """Copy (psi, s, z) to where every stack of slices begins on a cache line, zeros filling the last pass and stack."""
+    """Return (psi, s, z) with stacks of slices that begin on cache lines, and zeros that fill the last pass and stack.
+
+    What `filter_rays` makes of full stacks lies so already, and is not copied.
+    """
     angles, samples, count = filtered.shape
-    padded = aligned_zeros((angles + -angles % _ANGLES_A_PASS, samples, depth))
+    shape = (angles + -angles % _ANGLES_A_PASS, samples, depth)
+    if filtered.shape == shape and is_aligned(filtered):
+        return filtered
+    padded = aligned_zeros(shape)
     padded[:angles, :, :count] = filtered
     return padded
 

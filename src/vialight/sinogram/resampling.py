@@ -69,7 +69,10 @@ def resample(
     rows, plan_share = rows_and_plan_share(frames.shape[2], z_mm, camera, optics)
     if frames.shape[1] == 1:
         frames = np.repeat(frames, 2, axis=1)
-    by_column = _read_rows(frames, order, *row_taps(rows - first_row, plan_share, frames.shape[1]))
+    taps, weights = row_taps(rows - first_row, plan_share, frames.shape[1])
+    # NumPy's memory comes in large pages, numba's does not.
+    by_column = np.empty((frames.shape[2], len(order), len(z_mm)), np.float32)
+    _read_rows(frames, order, taps, weights, by_column)
     step = nominal_step(angles)
     out = np.zeros((len(beam.psi_rad), len(column), len(z_mm)), np.float32)
     gap_steps = np.zeros(out.shape[:2], np.float32)
@@ -140,10 +143,11 @@ def spline_coefficients(frame: Float32Array) -> None:
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
-def _read_rows(frames: Float32Array, order: IntArray, taps: NDArray[np.int32], weights: Float32Array) -> Float32Array:
+def _read_rows(
+    frames: Float32Array, order: IntArray, taps: NDArray[np.int32], weights: Float32Array, out: Float32Array
+) -> None:
     """(frame, row, column) -> (column, frame, z): each column at the rows that see the heights."""
     columns, depth, _ = taps.shape
-    out = np.empty((columns, len(order), depth), np.float32)
     for f in prange(len(order)):
         coefficients = frames[order[f]].copy()
         spline_coefficients(coefficients)
@@ -154,7 +158,6 @@ def _read_rows(frames: Float32Array, order: IntArray, taps: NDArray[np.int32], w
                 total += weights[c, z, 2] * coefficients[taps[c, z, 2], c]
                 total += weights[c, z, 3] * coefficients[taps[c, z, 3], c]
                 out[c, f, z] = total
-    return out
 
 
 @njit(parallel=True, fastmath=FAST_MATH, cache=True)
