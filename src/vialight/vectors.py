@@ -23,7 +23,9 @@ FAST_MATH = {"reassoc", "contract", "nsz", "arcp"}
 WIDE = ("sapphirerapids", "emeraldrapids", "graniterapids")
 """Processors that keep their clock with 512-bit vectors, which the compiler avoids on them as on their forebears."""
 
-if config.CPU_FEATURES is None and get_host_cpu_name() in WIDE:  # type: ignore[attr-defined]  # set as numba loads
+_ASKED_FOR = (config.CPU_NAME, config.CPU_FEATURES)  # type: ignore[attr-defined]  # set as numba loads
+
+if _ASKED_FOR == (None, None) and get_host_cpu_name() in WIDE:
     # What NUMBA_CPU_FEATURES sets, if a user does; kernels kept on disk are told apart by it.
     config.CPU_FEATURES = f"{get_host_cpu_features()},-prefer-256-bit"  # type: ignore[attr-defined, no-untyped-call]
 
