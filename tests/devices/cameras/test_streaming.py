@@ -11,8 +11,6 @@ import pytest
 
 from needs import need_command, need_module
 
-pytestmark = pytest.mark.alone
-
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "cameras.py"
 SECONDS = 60.0
 STEADY_MS = 5.0
@@ -20,7 +18,7 @@ STEADY_MS = 5.0
 
 
 def test_a_minute_streams_without_loss_and_with_true_times() -> None:
-    """A frame says when it was taken, however late it comes."""
+    """It may run beside other tests: a frame says when it was taken, however late it comes."""
     need_command("arv-fake-gv-camera-0.8", "aravis-tools")
     need_module("gi")
     done = subprocess.run(
