@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,11 +22,13 @@ from vialight.twin.sensor import Sensor
 
 THRESHOLD = 100.0
 
-ALL = np.arange(180)
-SCATTERED = np.delete(ALL, np.random.default_rng(3).choice(180, 18, replace=False))
-"""10 % of the frames missing by chance."""
-GAP = np.delete(ALL, np.s_[100:107])
-"""No frames for 16 deg: seven missing leave 15 deg without a frame within half a degree."""
+_TURN = np.arange(180)
+KEPT = {
+    "all frames": _TURN,
+    "10 % missing": np.delete(_TURN, np.random.default_rng(3).choice(180, 18, replace=False)),
+    # No frames for 16 deg: seven missing leave 15 deg without a frame within half a degree.
+    "15 deg gap": np.delete(_TURN, np.s_[100:107]),
+}
 
 
 class Accuracy(NamedTuple):
@@ -35,59 +39,48 @@ class Accuracy(NamedTuple):
     volumes_mm3: FloatArray
 
 
-def measured_surface(folder: Path, kept: IntArray, scratch: Path, settings: Settings) -> Mesh:
+def measured_surface(folder: Path, kept: IntArray, settings: Settings) -> Mesh:
     rig = load_rig(folder / "rig.toml")
-    with open_frames(folder / "frames.h5") as whole:
-        scratch.mkdir(exist_ok=True)
-        path = scratch / "frames.h5"
-        dark = whole.dark()
-        assert dark is not None
-        # Scaled, so that the mean of eight dark frames stays whole.
-        write_frames(
-            path, whole.read(kept) * np.uint16(8), whole.angles_rad[kept], dark=np.rint(8 * dark).astype(np.uint16)
-        )
-    with open_frames(path) as frames:
-        volume = reconstruct(open_scan(frames, rig, settings), settings)
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "frames.h5"
+        with open_frames(folder / "frames.h5") as whole:
+            dark = whole.dark()
+            assert dark is not None
+            # Scaled, so that the mean of eight dark frames stays whole.
+            write_frames(
+                path, whole.read(kept) * np.uint16(8), whole.angles_rad[kept], dark=np.rint(8 * dark).astype(np.uint16)
+            )
+        with open_frames(path) as frames:
+            volume = reconstruct(open_scan(frames, rig, settings), settings)
     return isosurface(Volume(volume.density / np.float32(8), volume.grid), THRESHOLD)
 
 
-def accuracy(surface: Mesh, truth: Mesh) -> Accuracy:
+@cache
+def accuracy(folder: Path, kept: str, accurate: bool) -> Accuracy:
+    surface = measured_surface(folder, KEPT[kept], Settings(accurate=accurate))
+    truth = load_mesh(folder / "truth.stl")
     to_truth = deviation(sample_surface(surface, 30_000), truth)
     from_truth = deviation(sample_surface(truth, 30_000), surface)
     return Accuracy(to_truth.rmse_mm, from_truth.share_within(0.1), pieces(surface))
 
 
-@pytest.mark.parametrize(
-    "kept",
-    [
-        pytest.param(ALL, id="all frames"),
-        pytest.param(SCATTERED, id="10 % missing"),
-        pytest.param(GAP, id="15 deg gap"),
-    ],
-)
+@pytest.mark.parametrize("kept", KEPT)
 @pytest.mark.parametrize("case", ["part", "cylinder"])
-def test_the_surface_is_true_to_12_um(shared_cases: Path, case: str, kept: IntArray, tmp_path: Path) -> None:
+def test_the_surface_is_true_to_12_um(shared_cases: Path, case: str, kept: str) -> None:
     """RMS in um, of all frames, of 90 %, with a gap: part 10.1, 11.0, 10.5; cylinder 8.5, 9.1, 8.8.
 
     Half of it is noise, most of the rest the soft rims.
     """
-    folder = shared_cases / case
-    found = accuracy(measured_surface(folder, kept, tmp_path, Settings()), load_mesh(folder / "truth.stl"))
+    found = accuracy(shared_cases / case, kept, accurate=False)
     assert found.rms_mm <= 0.012
     assert found.share_found >= 0.999
     assert (found.volumes_mm3 > 1.0).sum() == 1
 
 
 @pytest.mark.parametrize("case", ["part", "cylinder"])
-def test_accurate_is_no_worse_on_low_parts(shared_cases: Path, case: str, tmp_path: Path) -> None:
+def test_accurate_is_no_worse_on_low_parts(shared_cases: Path, case: str) -> None:
     """RMS in um: part 9.7, by default 10.1; cylinder 8.2, by default 8.5."""
-    folder = shared_cases / case
-    truth = load_mesh(folder / "truth.stl")
-    surfaces = [
-        measured_surface(folder, ALL, tmp_path / name, Settings(accurate=name == "accurate"))
-        for name in ("default", "accurate")
-    ]
-    default, accurate = (accuracy(surface, truth) for surface in surfaces)
+    default, accurate = (accuracy(shared_cases / case, "all frames", accurate=mode) for mode in (False, True))
     assert accurate.rms_mm <= min(default.rms_mm, 0.012)
     assert accurate.share_found >= max(default.share_found - 1e-4, 0.999)
     assert (accurate.volumes_mm3 > 1.0).sum() == 1
