@@ -141,11 +141,11 @@ def _volume_picture(volume: Volume, threshold: float, surface: Mesh) -> Picture:
     total = volume.density.sum(axis=0) * grid.voxel_mm
     _show_plan(figure, axes[1], total, grid.x_mm, grid.y_mm, "counts")
     axes[1].set_title("density, overhead sum")
-    cured = volume.density >= threshold
+    cured, cut = volume.density >= threshold, f"above I_p = {float(f'{threshold:.3g}'):g}"
     axes[2].imshow(cured.sum(axis=1) * grid.voxel_mm, cmap="viridis", origin="lower", extent=extent)
-    axes[2].set(xlabel="x, mm", ylabel="z, mm", title=f"above I_p = {threshold:.3g}, sum along y")
+    axes[2].set(xlabel="x, mm", ylabel="z, mm", title=f"{cut}, sum along y")
     _show_plan(figure, axes[3], cured.sum(axis=0) * grid.voxel_mm, grid.x_mm, grid.y_mm, "mm", cmap="viridis")
-    axes[3].set_title(f"above I_p = {threshold:.3g}, overhead sum")
+    axes[3].set_title(f"{cut}, overhead sum")
     size = " x ".join(f"{length:.2f}" for length in surface.extents_mm)
     return Picture(
         "volume", "The volume, and what lies above the threshold",
