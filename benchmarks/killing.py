@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil  # type: ignore[import-untyped]  # it has no types
+import psutil
 
 from vialight.commands import PlanSettings, plan_part
 from vialight.devices.simulated.display import BLACK, Flip, read_flips

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import psutil  # type: ignore[import-untyped]  # it has no types
+import psutil
 from reconstruction import machine
 from synthetic import DARK_COUNTS, FRAMES
 
