@@ -277,10 +277,11 @@ def test_projector_that_is_killed_leaves_black_and_ends_the_print(tmp_path: Path
 
 
 def test_watcher_with_a_fault_holds_the_light(tmp_path: Path) -> None:
-    watcher = Bystander()
+    watcher, seen = Bystander(), []
 
     def status(now: PrintStatus) -> None:
-        watcher.told = "the follower has ended" if 1.0 < now.lit_s < 1.5 and now.state == "printing" else None
+        seen.append(now.state)
+        watcher.told = "the follower has ended" if now.lit_s > 0.5 and "dark" not in seen else None
 
     with quick_printer(tmp_path) as printer:
         told = quick_print(tmp_path, printer, watcher=watcher, on_status=status)

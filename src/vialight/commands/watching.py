@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import tempfile
 import time
@@ -19,12 +18,13 @@ from vialight.config import Rig, load_rig
 from vialight.devices import SimulatedClock
 from vialight.devices.replay import ReplayCamera, ReplayStage
 from vialight.errors import InputError
-from vialight.links import CameraImage, LiveLink, Mailbox, PrintStatus, SurfaceSnapshot, shared_folder
+from vialight.links import CameraImage, LiveLink, Mailbox, PrintStatus, Snapshot, SurfaceSnapshot
 from vialight.live import LiveSettings, LiveWatcher
 from vialight.mesh import load_mesh
 from vialight.printing import EventLog, Recorder
 from vialight.sinogram import frames_a_turn
 from vialight.store import FrameWriter, open_frames
+from vialight.system import shared_folder
 from vialight.viewing import columns_and_directions
 from vialight.web import PageProcess
 
@@ -95,7 +95,7 @@ def watch_run(
         )  # fmt: skip
         replay = _Replay(run, folder, boxes, camera, clock, LiveWatcher(settings))
         with contextlib.closing(camera), replay, contextlib.ExitStack() as stack:
-            LiveLink(os.getpid(), str(boxes), "", "").publish(folder)
+            LiveLink.of_this_process(boxes).publish(folder)
             if serve:
                 page = stack.enter_context(PageProcess(folder))
                 on_step(f"open {page.link}")
@@ -111,9 +111,9 @@ class _Replay:
     ) -> None:
         self._camera, self._clock, self._watcher, self._folder = camera, clock, watcher, folder
         self._stage = ReplayStage(camera, clock)
-        self._camera_box = Mailbox(boxes / "camera", 2**16 + 2 * int(np.prod(camera.image_shape)))
-        self._status_box = Mailbox(boxes / "status", 2**16)
-        self._snapshot_box: Mailbox | None = None
+        self._camera_box = Mailbox(boxes / "camera", CameraImage, 2**16 + 2 * int(np.prod(camera.image_shape)))
+        self._status_box = Mailbox(boxes / "status", PrintStatus, 2**16)
+        self._snapshot_box: Mailbox[Snapshot] | None = None
         self._boxes = boxes
         rate_hz = (camera.count - 1) / max(float(np.ptp(camera.times_s)), 1e-9) if camera.count > 1 else 10.0
         self._recorder = Recorder(
@@ -158,14 +158,14 @@ class _Replay:
                 status_at = time.monotonic()
                 on_status(self._publish())
         if (surfaces := self._boxes / "surface").exists():
-            with Mailbox(surfaces) as box:
+            with Mailbox(surfaces, SurfaceSnapshot) as box:
                 self._surfaces, self._last = box.newest() or (0, None)
 
     def _look(self) -> None:
         if self._snapshot_box is None:
             if not (self._boxes / "snapshot").exists():
                 return
-            self._snapshot_box = Mailbox(self._boxes / "snapshot")
+            self._snapshot_box = Mailbox(self._boxes / "snapshot", Snapshot)
         found = self._snapshot_box.newest(after=self._number)
         if found is None:
             return

@@ -1,16 +1,19 @@
 """Cameras, stages and projectors: contracts, and devices that keep them.  `protocols` is where reading starts."""
 
 from vialight.devices.clocks import MonotonicClock, SimulatedClock
-from vialight.devices.projecting import LEASE_S, ProjectorProcess
+from vialight.devices.leasing import LEASE_S
+from vialight.devices.projecting import ProjectorParts, ProjectorProcess
 from vialight.devices.protocols import (
     Camera,
     CameraFrame,
     Clock,
     DeviceError,
+    DeviceGoneError,
     DeviceLostError,
     Devices,
     DeviceTimeoutError,
     Lease,
+    LightPhase,
     Projector,
     Shown,
     Stage,
@@ -23,12 +26,15 @@ __all__ = [
     "CameraFrame",
     "Clock",
     "DeviceError",
+    "DeviceGoneError",
     "DeviceLostError",
     "DeviceTimeoutError",
     "Devices",
     "Lease",
+    "LightPhase",
     "MonotonicClock",
     "Projector",
+    "ProjectorParts",
     "ProjectorProcess",
     "Shown",
     "SimulatedClock",

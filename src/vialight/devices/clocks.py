@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import mmap
 import struct
 import time
 from dataclasses import dataclass
 from pathlib import Path
+
+from vialight.system import make_shared_file, map_shared_file
 
 _STATE = struct.Struct("<Qddddd")
 """Version (odd while it is written), time and wall time of the last change, rate, limit, unused."""
@@ -48,9 +49,10 @@ class SimulatedClock:
     def __init__(self, path: Path, rate: float | None = None) -> None:
         self.path = path
         if rate is not None:
-            path.write_bytes(_STATE.pack(0, 0.0, time.monotonic(), rate, 0.0, 0.0))
-        with path.open("r+b") as file:
-            self._map = mmap.mmap(file.fileno(), 0)
+            make_shared_file(path, _STATE.size)
+        self._map = map_shared_file(path, _STATE.size)
+        if rate is not None:
+            _STATE.pack_into(self._map, 0, 0, 0.0, time.monotonic(), rate, 0.0, 0.0)
 
     def __reduce__(self) -> tuple[type[SimulatedClock], tuple[Path]]:
         return SimulatedClock, (self.path,)

@@ -18,7 +18,7 @@ from vialight.devices import cameras, projectors, stages
 from vialight.devices.clocks import MonotonicClock
 from vialight.devices.protocols import Camera, Clock, Devices, Projector, Stage
 from vialight.errors import InputError, VialightError
-from vialight.links import shared_folder
+from vialight.system import shared_folder
 
 DRIVERS = {
     "camera": 'driver = "aravis" or "harvesters"',

@@ -1,31 +1,35 @@
 """The projector's own process: the pattern that is due while the lease holds, black whenever anything is wrong.
 
-The rules are here once, for every kind of screen.  The process watches by itself: the lease, which runs out by the
-system's clock; and the process that gives leases, whose end it sees at once.
+The rules are in `leasing`, for every kind of screen.  The process watches by itself: the lease, which runs out by the
+system's clock; the stop switch; and the process that gives leases, whose end it sees at once.  A guardian watches it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import multiprocessing
 import os
 import time
-from dataclasses import dataclass
-from multiprocessing.connection import wait
+from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Protocol, TextIO
 
 import numpy as np
 
 from vialight.arrays import FloatArray
-from vialight.devices.protocols import Clock, DeviceError, Lease, Shown
-from vialight.links import Mailbox, leave_interrupts_to_the_print
+from vialight.devices.guarding import CLOSING, CoverMaker, Ward, guard
+from vialight.devices.leasing import judge
+from vialight.devices.protocols import Clock, DeviceError, DeviceGoneError, Lease, LightPhase, Shown
+from vialight.errors import VialightError
+from vialight.links import LightPanel, Mailbox
+from vialight.system import LineWriter, leave_interrupts_to_the_print
 
-LEASE_S = 0.15
-"""For which a lease holds, by the wall clock: with a refresh it is over well within a quarter of a second."""
 _START_TIMEOUT_S = 60.0
 _END_TIMEOUT_S = 3.0
+_GUARDIAN_SILENT_S = 0.1
+"""Without a sign of life after which the guardian is taken for hung, and the light goes off."""
 
 
 class Screen(Protocol):
@@ -37,7 +41,7 @@ class Screen(Protocol):
         ...
 
     def show(self, pattern: int | None) -> None:
-        """Show a pattern, or black, from the next refresh on."""
+        """Show a pattern, or black, from the next refresh on; returns when it is on the screen."""
         ...
 
     def tend(self) -> None:
@@ -57,64 +61,93 @@ class ScreenMaker(Protocol):
         ...
 
 
-class ProjectorProcess:
-    """A projector whose screen lives in a process of its own.
+@dataclass(frozen=True)
+class ProjectorParts:
+    """What a projector is made of.
 
     Parameters
     ----------
     make_screen
-        Called in that process.
-    clock
-        The print's; must be picklable.
+        Called in the projector's process.
+    make_cover
+        Called in the guardian's.
     pattern_angles_rad
         (angle,) at which patterns are due, ascending, evenly spaced over a turn.
-    folder
-        For its mailboxes.
     log
         CSV file, made anew, of what was due and what was shown.
     latency_s
         From the refresh from which on a pattern is shown to its light.
+    """
+
+    make_screen: ScreenMaker
+    make_cover: CoverMaker
+    pattern_angles_rad: FloatArray
+    log: Path
+    latency_s: float = 0.0
+
+
+class ProjectorProcess:
+    """A projector whose screen lives in a process of its own, with a guardian in another.
+
+    One thread gives leases; any may look at what is shown.
+
+    Parameters
+    ----------
+    parts
+        What it is made of.
+    clock
+        The print's; must be picklable.
+    folder
+        The print's shared folder.
+
+    Attributes
+    ----------
+    processes : dict
+        Name to process.
 
     Raises
     ------
     DeviceError
-        The screen cannot be made.
+        The screen or its cover cannot be made.
     """
 
-    def __init__(
-        self, make_screen: ScreenMaker, clock: Clock, pattern_angles_rad: FloatArray, folder: Path, log: Path,
-        latency_s: float = 0.0,
-    ) -> None:  # fmt: skip
-        self._leases = Mailbox(folder / "lease", 1000)
-        self._shown_path = folder / "shown"
+    def __init__(self, parts: ProjectorParts, clock: Clock, folder: Path) -> None:
+        self._panel = LightPanel(folder, is_new=True)
+        self._leases = Mailbox(folder / "lease", Lease, 1000)
         context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        self._process = context.Process(
-            target=_run,
-            args=(make_screen, clock, _Due(pattern_angles_rad, latency_s), folder, log, theirs),
-            name="projector",
-            daemon=True,
+        self._faults, theirs = context.Pipe()
+        alive, life = context.Pipe(duplex=False)
+        due = _Due(parts.pattern_angles_rad, parts.latency_s)
+        projector = context.Process(
+            target=_run, args=(parts, clock, due, folder, theirs, life), name="projector", daemon=True
         )
-        self._process.start()
+        projector.start()
         theirs.close()
-        if not ours.poll(_START_TIMEOUT_S):
-            self._process.kill()
-            raise DeviceError("projector", f"has not started within {_START_TIMEOUT_S:g} s")
+        life.close()
+        self.processes: dict[str, Any] = {"projector": projector}
+        self._fault, self._alarm = "", ""
         try:
-            fault = ours.recv()
-        except EOFError:
-            fault = "its process has ended"
-        if fault:
-            self._process.join(_END_TIMEOUT_S)
-            raise DeviceError("projector", fault)
-        self._shown = Mailbox(self._shown_path)
-        self._faults, self._fault = ours, ""
+            _begun(self._faults, "projector")
+            self._shown = Mailbox(folder / "shown", Shown)
+            self._guard, theirs = context.Pipe()
+            ward = Ward(parts.make_cover, folder, self.pid)
+            guardian = context.Process(target=guard, args=(ward, theirs, alive), name="guardian", daemon=True)
+            guardian.start()
+            self.processes["guardian"] = guardian
+            theirs.close()
+            alive.close()
+            _begun(self._guard, "projector's guardian")
+        except BaseException:
+            for process in self.processes.values():
+                process.kill()
+                process.join(_END_TIMEOUT_S)
+            raise
 
     @property
     def pid(self) -> int:
         """Of the process that holds the screen."""
-        assert self._process.pid is not None
-        return self._process.pid
+        pid: int = self.processes["projector"].pid
+        return pid
 
     def renew(self, lease: Lease) -> None:
         """Replace the lease."""
@@ -122,27 +155,64 @@ class ProjectorProcess:
 
     def darken(self) -> None:
         """Withdraw the lease."""
-        self._leases.put(None)
+        self._leases.put(Lease.none(LightPhase.DARK, time.monotonic()))
+
+    def end(self) -> None:
+        """Withdraw the lease for good."""
+        self._leases.put(Lease.none(LightPhase.OVER, time.monotonic()))
 
     def shown(self) -> Shown:
         """Return what is on the screen now."""
-        if not self._process.is_alive():
-            with contextlib.suppress(EOFError, OSError):
-                self._fault = self._fault or (self._faults.recv() if self._faults.poll() else "")
-            raise DeviceError("projector", self._fault or f"its process has ended (exit code {self._process.exitcode})")
+        for name, process in self.processes.items():
+            if not process.is_alive():
+                raise DeviceGoneError("projector", self._why_ended(name))
+        if (silent_s := self._panel.age_s("guardian")) > _GUARDIAN_SILENT_S:
+            raise DeviceError("projector", f"its guardian has given no sign of life for {silent_s:.2f} s")
         found = self._shown.newest()
         assert found is not None  # put before the process says that it is ready
-        shown: Shown = found[1]
-        return shown
+        return found[1]
 
     def close(self) -> None:
-        """Black, and end the process."""
-        self.darken()
-        self._leases.put("end")
-        self._process.join(_END_TIMEOUT_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        """Black, and end the processes."""
+        projector, guardian = (self.processes[name] for name in ("projector", "guardian"))
+        with contextlib.suppress(OSError):
+            self._guard.send_bytes(CLOSING)
+        self._leases.put(Lease.none(LightPhase.CLOSED, time.monotonic()))
+        for process in (projector, guardian):
+            process.join(_END_TIMEOUT_S)
+            if process.is_alive():
+                process.kill()
+                process.join()
+        self._panel.tell_ended()
+
+    def _why_ended(self, name: str) -> str:
+        with contextlib.suppress(EOFError, OSError):
+            while self._guard.poll():
+                self._alarm = self._alarm or self._guard.recv_bytes().decode()
+        with contextlib.suppress(EOFError, OSError):
+            self._fault = self._fault or (self._faults.recv_bytes().decode() if self._faults.poll() else "")
+        if self._alarm and self._alarm != "has ended":
+            return f"its process {self._alarm}, was covered and ended"
+        whose = "its process" if name == "projector" else "its guardian"
+        return self._fault or f"{whose} has ended (exit code {self.processes[name].exitcode})"
+
+
+def _begun(connection: Connection[Any, Any], who: str) -> None:
+    """Wait for a new process to say that it has begun.
+
+    Raises
+    ------
+    DeviceError
+        It says that it cannot, ends, or says nothing.
+    """
+    if not connection.poll(_START_TIMEOUT_S):
+        raise DeviceError(who, f"has not started within {_START_TIMEOUT_S:g} s")
+    try:
+        fault = connection.recv_bytes().decode()
+    except EOFError:
+        fault = "its process has ended"
+    if fault:
+        raise DeviceError(who, fault.removeprefix(f"{who}: "))
 
 
 @dataclass(frozen=True)
@@ -159,62 +229,104 @@ class _Due:
         return int(np.rint((angle - self.angles_rad[0]) / step)) % len(self.angles_rad)
 
 
-def _run(make_screen: ScreenMaker, clock: Clock, due: _Due, folder: Path, log: Path, parent: Any) -> None:
+def _run(
+    parts: ProjectorParts, clock: Clock, due: _Due, folder: Path, parent: Connection[Any, Any],
+    life: Connection[Any, Any],
+) -> None:  # fmt: skip
+    """Project until the print is over; `life` is held open as long as this process lives."""
     leave_interrupts_to_the_print()
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, AttributeError):
         os.nice(-10)  # as far as the system lets: light must be right before anything else
-    leases = Mailbox(folder / "lease")
-    with Mailbox(folder / "shown", 1000) as shown, log.open("w", newline="", encoding="utf-8") as file:
+    with (
+        life,
+        Mailbox(folder / "shown", Shown, 1000) as shown,
+        parts.log.open("w", newline="", encoding="utf-8") as file,
+    ):
+        log = LineWriter(partial(_write_through, file))
         try:
-            screen = make_screen()
+            screen = parts.make_screen()
         except Exception as error:
-            parent.send(str(error))
+            parent.send_bytes(str(error).encode())
             return
+        shown.put(Shown(None, clock.now_s()))
         try:
-            shown.put(Shown(None, clock.now_s()))
-            parent.send("")
-            _project(screen, clock, due, leases, shown, file)
-        except DeviceError as error:
-            parent.send(str(error).removeprefix("projector: "))
+            projecting = _Projecting(
+                screen, clock, due, LightPanel(folder), Mailbox(folder / "lease", Lease), shown, log
+            )
+            parent.send_bytes(b"")
+            projecting.go_on()
+        except VialightError as error:
+            parent.send_bytes(str(error).removeprefix("projector: ").encode())
         finally:
             screen.close()
             shown.put(Shown(None, clock.now_s()))
+            log.close()
 
 
-def _project(screen: Screen, clock: Clock, due: _Due, leases: Mailbox, shown: Mailbox, file: TextIO) -> None:
-    writer = csv.writer(file)
-    writer.writerow(["refresh_s", "shown_s", "due", "shown"])
-    giver = multiprocessing.parent_process()
-    assert giver is not None
-    period_s = 1 / screen.refresh_hz
-    on_screen: int | None = None
-    refresh = int(clock.now_s() / period_s)
-    while not wait([giver.sentinel], timeout=0):
-        screen.tend()
-        lease: Any = (leases.newest() or (0, None))[1]
-        if lease == "end":
-            return
-        now = clock.now_s()
-        coming = int(now / period_s)
-        wanted = on_screen
-        if lease is None or time.monotonic() >= lease.until_monotonic_s or now >= lease.off_at_s:
-            wanted = None
-        elif coming > refresh:
-            wanted = due.at(lease, (coming + 0.5) * period_s)
-        if wanted != on_screen:
-            screen.show(wanted)
-            shown.put(Shown(wanted, clock.now_s()))
-        if on_screen is not None or wanted is not None:
-            for missed in range(refresh + 1, coming) if lease is not None else ():
-                wanting = due.at(lease, (missed + 0.5) * period_s)
-                writer.writerow([f"{missed * period_s:.4f}", "", wanting, _code(on_screen)])
-            if coming > refresh or wanted != on_screen:
-                code = _code(wanted)
-                writer.writerow([f"{coming * period_s:.4f}", f"{clock.now_s():.4f}", code, code])
-                file.flush()
-        on_screen, refresh = wanted, coming
-        # Never longer than a fraction of the lease, even where the print's clock stands still.
-        time.sleep(min(max(((refresh + 1) * period_s - clock.now_s()) / clock.rate, 0.0005), 0.02))
+def _write_through(file: TextIO, text: str) -> None:
+    """Write at once: others follow the file."""
+    file.write(text)
+    file.flush()
+
+
+@dataclass
+class _Projecting:
+    """What is on the screen, and why."""
+
+    screen: Screen
+    clock: Clock
+    due: _Due
+    panel: LightPanel
+    leases: Mailbox[Lease]
+    shown: Mailbox[Shown]
+    log: LineWriter
+    is_over: bool = False
+    on_screen: int | None = field(default=None)
+
+    def go_on(self) -> None:
+        giver = multiprocessing.parent_process()
+        assert giver is not None
+        self.log.put("refresh_s,shown_s,due,shown\n")
+        period_s = 1 / self.screen.refresh_hz
+        refresh = int(self.clock.now_s() / period_s)
+        while not wait([giver.sentinel], timeout=0):
+            self.panel.beat("projector")
+            self.screen.tend()
+            lease = (self.leases.newest() or (0, None))[1]
+            if lease is not None and lease.phase == LightPhase.CLOSED:
+                return
+            coming = int(self.clock.now_s() / period_s)
+            before, wanted = self.on_screen, self._wanted(lease, (coming + 0.5) * period_s, is_new=coming > refresh)
+            if wanted != before:
+                self._show(wanted)
+            if self.is_over and self.on_screen is None:
+                self.panel.tell_ended()
+            if before is not None or wanted is not None:
+                for missed in range(refresh + 1, coming):
+                    assert lease is not None  # without one nothing has been lit
+                    wanting = self.due.at(lease, (missed + 0.5) * period_s)
+                    self.log.put(f"{missed * period_s:.4f},,{wanting},{_code(before)}\n")
+                if coming > refresh or wanted != before:
+                    code = _code(wanted)
+                    self.log.put(f"{coming * period_s:.4f},{self.clock.now_s():.4f},{code},{code}\n")
+            refresh = coming
+            # Never longer than a fraction of the lease, even where the print's clock stands still.
+            left_s = ((refresh + 1) * period_s - self.clock.now_s()) / self.clock.rate
+            time.sleep(min(max(left_s, 0.0005), 0.02))
+
+    def _wanted(self, lease: Lease | None, middle_s: float, *, is_new: bool) -> int | None:
+        """Return the pattern that is to be shown; a pattern changes with a new refresh only, black comes at once."""
+        self.is_over, may_light = judge(
+            self.is_over, self.panel.is_stopped, lease, time.monotonic(), self.clock.now_s()
+        )
+        if not may_light or lease is None:
+            return None
+        return self.due.at(lease, middle_s) if is_new else self.on_screen
+
+    def _show(self, pattern: int | None) -> None:
+        self.screen.show(pattern)
+        self.on_screen = pattern
+        self.shown.put(Shown(pattern, self.clock.now_s()))
 
 
 def _code(pattern: int | None) -> int:

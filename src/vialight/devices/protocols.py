@@ -6,6 +6,7 @@ one that is broken `DeviceError`.  Devices are driven from one thread each, and 
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -37,6 +38,10 @@ class DeviceTimeoutError(DeviceError):
 
 class DeviceLostError(DeviceTimeoutError):
     """The link to a device is lost, for a reason that is known; its driver looks for it."""
+
+
+class DeviceGoneError(DeviceError):
+    """A device will not come back in this print."""
 
 
 class Clock(Protocol):
@@ -118,9 +123,22 @@ class Stage(Protocol):
         ...
 
 
+class LightPhase(IntEnum):
+    """How far a print's light is.  Dark and lit may take turns; what comes after them never goes back."""
+
+    DARK = 0
+    LIT = 1
+    OVER = 2
+    """Black for good: nothing lights any more in this print."""
+    CLOSED = 3
+    """And the projector is let go."""
+
+
 class Lease(NamedTuple):
     """Leave to show light, for a fraction of a second: it must be renewed, or the projector goes black by itself."""
 
+    phase: LightPhase
+    """Light is shown in the phase LIT only; OVER cannot be renewed."""
     until_monotonic_s: float
     """End of the lease, by `time.monotonic`: whatever happens to whoever gave it."""
     angle_rad: float
@@ -131,6 +149,11 @@ class Lease(NamedTuple):
     """At which the object turns, counter-clockwise positive."""
     off_at_s: float
     """When the print ends, on the print's clock; black from then on."""
+
+    @classmethod
+    def none(cls, phase: LightPhase, now_monotonic_s: float) -> Lease:
+        """Return what says that there is no leave from now on."""
+        return cls(phase, now_monotonic_s, 0.0, 0.0, 0.0, 0.0)
 
 
 class Shown(NamedTuple):
@@ -157,8 +180,15 @@ class Projector(Protocol):
         """Withdraw the lease: black at the next refresh; never waits."""
         ...
 
+    def end(self) -> None:
+        """Withdraw the lease for good: black at the next refresh, whatever is asked for later; never waits."""
+        ...
+
     def shown(self) -> Shown:
-        """Return what is on the screen now; `DeviceError` where the projector's process has ended."""
+        """Return what is on the screen now; `DeviceError` where projector or guardian is not well.
+
+        Where one of their processes has ended, that is a `DeviceGoneError`.
+        """
         ...
 
     def close(self) -> None:

@@ -1,14 +1,15 @@
-"""What the processes of one print tell each other: newest states by mailbox, orders by a control channel."""
+"""What the processes of one print tell each other: newest states by mailbox, the light's panel, orders to the print."""
 
-from vialight.links.control import ControlServer, send_order
-from vialight.links.interrupts import leave_interrupts_to_the_print
-from vialight.links.live import LiveLink, find_live_print
-from vialight.links.mailboxes import Mailbox, shared_folder
+from vialight.links.control import ControlServer, send_order, stop_print
+from vialight.links.live import LiveLink, UnknownStateError, find_live_print
+from vialight.links.mailboxes import Mailbox
 from vialight.links.messages import CameraImage, PrintStatus, Snapshot, StopForecast, Sums, SurfaceSnapshot
+from vialight.links.panel import LightPanel
 
 __all__ = [
     "CameraImage",
     "ControlServer",
+    "LightPanel",
     "LiveLink",
     "Mailbox",
     "PrintStatus",
@@ -16,8 +17,8 @@ __all__ = [
     "StopForecast",
     "Sums",
     "SurfaceSnapshot",
+    "UnknownStateError",
     "find_live_print",
-    "leave_interrupts_to_the_print",
     "send_order",
-    "shared_folder",
+    "stop_print",
 ]

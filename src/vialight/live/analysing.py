@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
-import time
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
@@ -13,11 +12,13 @@ import numpy as np
 
 from vialight.arrays import Float32Array, Volume
 from vialight.errors import InputError
-from vialight.links import Mailbox, SurfaceSnapshot, leave_interrupts_to_the_print
+from vialight.links import LightPanel, Mailbox, Snapshot, StopForecast, SurfaceSnapshot
 from vialight.live.analysis import GelTimeMap, Measured, coarsened, measure, measured_grid, middle_slices, yardstick
 from vialight.live.following import LiveSettings
 from vialight.live.sharing import Moment, SharedVolume
+from vialight.live.talking import DONE, FINISH, READY, faults_told_to
 from vialight.store import SERIES, VolumeSeriesWriter, write_history, write_ply
+from vialight.system import leave_interrupts_to_the_print, wait_for
 
 _LARGEST_SURFACE = 64 * 2**20
 _WAIT_S = 0.2
@@ -27,27 +28,31 @@ _START_S = 60.0
 def analyse(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
     """Measure whatever volume is given until told to finish, or until the process that prints is gone."""
     leave_interrupts_to_the_print()
-    os.nice(17)
-    path = settings.mailboxes / "volume"
-    deadline = time.monotonic() + _START_S
-    while not path.exists():
-        if time.monotonic() > deadline:
-            return
-        time.sleep(0.02)
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(17)
+    with faults_told_to(orders):
+        _analyse(settings, orders)
+
+
+def _analyse(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
+    panel, path = LightPanel(settings.mailboxes), settings.mailboxes / "volume"
+    if wait_for(path.exists, timeout_s=_START_S) is not None:
+        return
     analyst = _Analyst(settings, SharedVolume(path))
-    orders.send("ready")
+    orders.send_bytes(READY)
     parent = multiprocessing.parent_process()
     assert parent is not None
     is_finishing = False
     while not wait([parent.sentinel], timeout=0):
+        panel.beat("analyst")
         if analyst.measure_next():
             continue
         if is_finishing:
             analyst.finish()
-            orders.send("done")
+            orders.send_bytes(DONE)
             return
         if orders.poll():
-            is_finishing = orders.recv() == "finish"
+            is_finishing = orders.recv_bytes() == FINISH
 
 
 class _Seen(NamedTuple):
@@ -62,9 +67,10 @@ class _Analyst:
 
     def __init__(self, settings: LiveSettings, shared: SharedVolume) -> None:
         self._settings, self._shared = settings, shared
-        self._surfaces = Mailbox(settings.mailboxes / "surface", _LARGEST_SURFACE)
+        self._surfaces = Mailbox(settings.mailboxes / "surface", SurfaceSnapshot, _LARGEST_SURFACE)
         # Made by the other process before it tells of the first volume.
-        self._snapshots, self._forecasts = (Mailbox(settings.mailboxes / name) for name in ("snapshot", "forecast"))
+        self._snapshots = Mailbox(settings.mailboxes / "snapshot", Snapshot)
+        self._forecasts = Mailbox(settings.mailboxes / "forecast", StopForecast)
         self._grid = measured_grid(shared.grid)
         self._against = None if settings.reference is None else yardstick(settings.reference, self._grid)
         self._gel_times = GelTimeMap(shared.grid.shape)

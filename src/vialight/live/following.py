@@ -6,6 +6,7 @@ takes them all into one.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import time
@@ -21,13 +22,15 @@ import numpy as np
 from vialight.arrays import TURN_RAD, FloatArray
 from vialight.config import Rig
 from vialight.feedback import StopHistory, StopModel, fresh_history, observe, places, predict, sample
-from vialight.links import CameraImage, Mailbox, Snapshot, StopForecast, leave_interrupts_to_the_print
+from vialight.links import CameraImage, LightPanel, Mailbox, Snapshot, StopForecast
 from vialight.live.analysis import region_of
 from vialight.live.lit_time import LitTime
 from vialight.live.sharing import Moment, SharedVolume
+from vialight.live.talking import DONE, FINISH, READY, faults_told_to
 from vialight.live.window import SlidingWindow, WindowState, compile_kernels
 from vialight.mesh import Mesh
 from vialight.store import FrameTail, NewFrames
+from vialight.system import leave_interrupts_to_the_print
 
 _POLL_S = 0.003
 _SECOND_S = 1.0
@@ -92,7 +95,14 @@ class LiveSettings:
 def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
     """Renew the volume with every frame until told to finish, or until the process that prints is gone."""
     leave_interrupts_to_the_print()
-    os.nice(2)
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(2)
+    with faults_told_to(orders):
+        _follow(settings, orders)
+
+
+def _follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
+    panel = LightPanel(settings.mailboxes)
     tail = FrameTail(settings.run / "frames.h5")
     window = SlidingWindow(
         settings.rig, tail.image_shape, settings.frames_per_turn, dark=tail.dark, threshold=settings.threshold,
@@ -102,22 +112,24 @@ def follow(settings: LiveSettings, orders: Connection[Any, Any]) -> None:
     follower = _Follower(settings, window)
     parent = multiprocessing.parent_process()
     assert parent is not None
-    orders.send("ready")
+    orders.send_bytes(READY)
     is_finishing = False
     while not wait([parent.sentinel], timeout=0):
+        panel.beat("follower")
         new = tail.new()
         if new is not None:
             for frames in shares(new):
                 for counts, angle in zip(frames.counts, frames.angles_rad, strict=True):
+                    panel.beat("follower")
                     window.add(counts, float(angle))
                 follower.renew(frames.first + len(frames.counts), frames.time_s, frames.angles_rad)
         elif is_finishing:
             window.renew(everything=True)  # the last volume is of all that was seen
             follower.show_volume()
-            orders.send("done")
+            orders.send_bytes(DONE)
             return
         elif orders.poll(_POLL_S):
-            is_finishing = orders.recv() == "finish"
+            is_finishing = orders.recv_bytes() == FINISH
 
 
 def shares(new: NewFrames) -> Iterator[NewFrames]:
@@ -145,9 +157,9 @@ class _Follower:
     def __init__(self, settings: LiveSettings, window: SlidingWindow) -> None:
         self._settings, self._window = settings, window
         images = sum(a * b for a, b in _pairs(window.grid.shape)) * 4 * 2
-        self._snapshots = Mailbox(settings.mailboxes / "snapshot", images + 2**16)
-        self._forecasts = Mailbox(settings.mailboxes / "forecast", 2**14)
-        self._camera: Mailbox | None = None
+        self._snapshots = Mailbox(settings.mailboxes / "snapshot", Snapshot, images + 2**16)
+        self._forecasts = Mailbox(settings.mailboxes / "forecast", StopForecast, 2**14)
+        self._camera: Mailbox[CameraImage] | None = None
         self._lit = LitTime(settings.run / "projector.csv")
         self._shared = SharedVolume.make(
             settings.mailboxes / "volume", window.grid, region_of(window.grid, settings.reference)
@@ -196,12 +208,11 @@ class _Follower:
     def _latency(self, frames: int) -> float:
         """Return the wall time since the newest frame used arrived; NaN where that is not known."""
         if self._camera is None and (self._settings.mailboxes / "camera").exists():
-            self._camera = Mailbox(self._settings.mailboxes / "camera")
+            self._camera = Mailbox(self._settings.mailboxes / "camera", CameraImage)
         newest = self._camera.newest() if self._camera is not None else None
         if newest is None:
             return float("nan")
-        image: CameraImage = newest[1]
-        return time.monotonic() - image.arrival_of(frames - 1)
+        return time.monotonic() - newest[1].arrival_of(frames - 1)
 
     def _foresee(self, time_s: float) -> None:
         if self._model is None or self._history is None or self._places is None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import mmap
 import struct
-import time
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -12,6 +10,7 @@ import numpy as np
 
 from vialight.arrays import Float32Array, Grid
 from vialight.live.analysis import grid_of
+from vialight.system import make_shared_file, map_shared_file, wait_for
 from vialight.vectors import padded_depth
 
 _HEAD = struct.Struct("<QQQddd")
@@ -56,8 +55,7 @@ class SharedVolume:
     """
 
     def __init__(self, path: Path) -> None:
-        with path.open("r+b") as file:
-            self._map = mmap.mmap(file.fileno(), 0)
+        self._map = map_shared_file(path, _BEGIN)
         z, y, x, voxel, centre, *bounds = _GRID.unpack_from(self._map, _HEAD.size)
         shape = (y, x, padded_depth(z))
         values = np.frombuffer(self._map, np.float32, offset=_BEGIN, count=int(np.prod(shape)))
@@ -69,14 +67,13 @@ class SharedVolume:
     @classmethod
     def make(cls, path: Path, grid: Grid, region: Region) -> Self:
         """Make the file, for a grid of which a region is to be looked at."""
-        fresh = path.with_suffix(".new")
         z, y, x = grid.shape
         bounds = [bound for part in region for bound in (part.start, part.stop)]
-        with fresh.open("wb") as file:
-            file.write(_HEAD.pack(0, 0, 0, 0.0, 0.0, 0.0))
-            file.write(_GRID.pack(z, y, x, grid.voxel_mm, grid.centre_z_mm, *bounds))
-            file.truncate(_BEGIN + 4 * y * x * padded_depth(z))
-        fresh.rename(path)
+        fresh = path.with_name(f"{path.name}-made")
+        make_shared_file(fresh, _BEGIN + 4 * y * x * padded_depth(z))
+        with map_shared_file(fresh) as made:
+            _GRID.pack_into(made, _HEAD.size, z, y, x, grid.voxel_mm, grid.centre_z_mm, *bounds)
+        fresh.replace(path)
         return cls(path)
 
     def is_free(self) -> bool:
@@ -86,12 +83,7 @@ class SharedVolume:
 
     def wait_until_free(self, timeout_s: float) -> bool:
         """Wait for that; False where it takes too long."""
-        deadline = time.monotonic() + timeout_s
-        while not self.is_free():
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(_POLL_S)
-        return True
+        return wait_for(self.is_free, timeout_s=timeout_s, every_s=_POLL_S) is None
 
     def tell(self, moment: Moment) -> None:
         """Say of when the volume is, and that it is to be looked at."""
@@ -101,12 +93,8 @@ class SharedVolume:
 
     def wait_for_moment(self, timeout_s: float) -> Moment | None:
         """Wait until the volume is to be looked at; None where that does not come in time."""
-        deadline = time.monotonic() + timeout_s
-        while self.is_free():
-            if time.monotonic() > deadline:
-                return None
-            time.sleep(_POLL_S)
-        return self.moment()
+        told = wait_for(lambda: not self.is_free(), timeout_s=timeout_s, every_s=_POLL_S)
+        return self.moment() if told is None else None
 
     def moment(self) -> Moment:
         """Return of when the volume was said to be last."""

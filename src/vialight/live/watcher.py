@@ -6,21 +6,30 @@ import contextlib
 import multiprocessing
 import threading
 import time
+from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from vialight.links import Mailbox, Snapshot, StopForecast, SurfaceSnapshot
+from vialight.links import LightPanel, Mailbox, Snapshot, StopForecast, SurfaceSnapshot
 from vialight.live.analysing import analyse
 from vialight.live.analysis import grid_of, region_of
 from vialight.live.following import LiveSettings, follow
+from vialight.live.talking import DONE, FAULT, FINISH, READY
 from vialight.live.window import beam_of
 from vialight.pipeline import grid_of_view
+from vialight.system import state_of
+
+Name = Literal["follower", "analyst"]
+_T = TypeVar("_T")
+_Work = Callable[[LiveSettings, Connection[Any, Any]], None]
 
 _FINISH_TIMEOUT_S = 60.0
+_LOOK_S = 0.1
 _END_TIMEOUT_S = 2.0
-
+_HUNG_S: dict[Name, float] = {"follower": 3.0, "analyst": 30.0}
+"""Without a sign of life after which it is taken for hung: a frame takes a tenth of a second, a surface a few."""
 
 _FLOAT_BYTES, _HALF_BYTES = 4, 2
 _SURFACE_BYTES = 42
@@ -45,13 +54,14 @@ class LiveWatcher:
 
     def __init__(self, settings: LiveSettings) -> None:
         self._settings = settings
-        self.processes: dict[str, Any] = {}
-        self._orders: dict[str, Connection[Any, Any]] = {}
+        self.processes: dict[Name, Any] = {}
+        self._orders: dict[Name, Connection[Any, Any]] = {}
         self._ready: set[str] = set()
+        self._faults: dict[str, str] = {}
         self._has_started = False
         self._lock = threading.Lock()
         """Of what was started and who is ready: a message that two threads wait for would leave one of them waiting."""
-        self._boxes: dict[str, Mailbox] = {}
+        self._boxes: dict[str, Mailbox[Any]] = {}
 
     def room_for(self, image_shape: tuple[int, int], turns: float) -> int:
         """Return the bytes that what it keeps of a print may take at most: volumes, surfaces, history.
@@ -80,10 +90,16 @@ class LiveWatcher:
         """Begin to follow; what had been started before is ended first, and the recording is read again."""
         self._has_started = True
         self._end()
+        self._panel = LightPanel.of(self._settings.mailboxes)
         (self._settings.mailboxes / "volume").unlink(missing_ok=True)
         context = multiprocessing.get_context("spawn")
-        processes, orders = {}, {}
-        for name, work in (("follower", follow), ("analyst", analyse)):
+        processes: dict[Name, Any] = {}
+        orders: dict[Name, Connection[Any, Any]] = {}
+        works: dict[Name, Callable[[LiveSettings, Connection[Any, Any]], None]] = {
+            "follower": follow,
+            "analyst": analyse,
+        }
+        for name, work in works.items():
             orders[name], theirs = context.Pipe()
             processes[name] = context.Process(target=work, args=(self._settings, theirs), name=name, daemon=True)
             processes[name].start()
@@ -96,61 +112,77 @@ class LiveWatcher:
         with self._lock:
             for name, orders in self._orders.items():
                 with contextlib.suppress(EOFError, OSError):
-                    if name not in self._ready and orders.poll():
-                        orders.recv()
+                    if name in self._ready or not orders.poll():
+                        continue
+                    told = orders.recv_bytes()
+                    if told == READY:
                         self._ready.add(name)
+                    elif told.startswith(FAULT):
+                        self._faults[name] = told.removeprefix(FAULT).decode()
             return len(self._ready) == len(self._orders) > 0
 
     def has_ended(self) -> bool:
-        """Whether a process has ended by itself."""
-        return any(not process.is_alive() for process in self.processes.values())
+        """Whether a process has ended by itself, or hangs: it does not come back in either case."""
+        return any(self._is_lost(name) is not None for name in self.processes)
 
     def fault(self) -> str | None:
         """Say which process has ended, or that they are not ready yet."""
         if not self._has_started:
             return None
-        for name, process in self.processes.items():
-            if not process.is_alive():
-                return f"the {name} has ended (exit code {process.exitcode})"
-        return None if self.is_ready() else "catching up"
+        is_ready = self.is_ready()
+        for name in self.processes:
+            if (lost := self._is_lost(name)) is not None:
+                return f"the {name} {lost}"
+        return None if is_ready else "catching up"
+
+    def _is_lost(self, name: Name) -> str | None:
+        """Say why a process is taken for dead; None while it is well."""
+        process = self.processes.get(name)
+        if process is None:
+            return None
+        if not process.is_alive():
+            return self._faults.get(name) or f"has ended (exit code {process.exitcode})"
+        if state_of(process.pid) == "stopped":
+            return "was stopped"
+        silent_s = self._panel.age_s(name)
+        if name in self._ready and _HUNG_S[name] < silent_s < float("inf"):
+            return f"has given no sign of life for {silent_s:.0f} s"
+        return None
 
     def forecast(self) -> StopForecast | None:
         """Return when the light should go off, as far as known."""
-        found: StopForecast | None = self._newest("forecast")
-        return found
+        return self._newest("forecast", StopForecast)
 
     def snapshot(self) -> Snapshot | None:
         """Return the newest snapshot."""
-        found: Snapshot | None = self._newest("snapshot")
-        return found
+        return self._newest("snapshot", Snapshot)
 
     def surface(self) -> SurfaceSnapshot | None:
         """Return the newest surface."""
-        found: SurfaceSnapshot | None = self._newest("surface")
-        return found
+        return self._newest("surface", SurfaceSnapshot)
 
     def close(self) -> None:
         """Let both processes finish with what is recorded, and end them."""
-        for name in ("follower", "analyst"):
+        for name in _HUNG_S:
             self._finish(name)
         self._end()
 
-    def _finish(self, name: str) -> None:
+    def _finish(self, name: Name) -> None:
         orders, process = self._orders.get(name), self.processes.get(name)
-        if orders is None or process is None or not process.is_alive():
+        if orders is None or process is None or self._is_lost(name) is not None:
             return
         deadline = time.monotonic() + _FINISH_TIMEOUT_S
         with contextlib.suppress(EOFError, OSError):
-            orders.send("finish")
-            while orders.poll(max(0.0, deadline - time.monotonic())):
-                if orders.recv() == "done":
+            orders.send_bytes(FINISH)
+            while self._is_lost(name) is None and time.monotonic() < deadline:
+                if orders.poll(_LOOK_S) and orders.recv_bytes() == DONE:
                     process.join(_END_TIMEOUT_S)
                     return
 
     def _end(self) -> None:
         with self._lock:
             processes, orders = self.processes, self._orders
-            self.processes, self._orders, self._boxes, self._ready = {}, {}, {}, set()
+            self.processes, self._orders, self._boxes, self._ready, self._faults = {}, {}, {}, set(), {}
         for process in processes.values():
             if process.is_alive():
                 process.kill()
@@ -158,13 +190,13 @@ class LiveWatcher:
         for connection in orders.values():
             connection.close()
 
-    def _newest(self, name: str) -> Any:
+    def _newest(self, name: str, kind: type[_T]) -> _T | None:
         path = self._settings.mailboxes / name
         if name not in self._boxes:
             if not path.exists():
                 return None
-            self._boxes[name] = Mailbox(path)
-        found = self._boxes[name].newest()
+            self._boxes[name] = Mailbox(path, kind)
+        found: tuple[int, _T] | None = self._boxes[name].newest()
         return None if found is None else found[1]
 
 

@@ -1,7 +1,7 @@
 """A plan played through devices, recorded, watched and brought to its end: start reading at `session`.
 
 - `track`: where the stage is at any moment
-- `light`: leave for the projector, given only while everything is well
+- `light`: its one owner, who gives leave to the projector only while everything is well
 - `recorder`: every frame on disk before it counts
 - `preflight`: what is checked before the first light
 - `doubts`: what makes the calibration doubtful, which is told
@@ -11,7 +11,7 @@
 """
 
 from vialight.printing.doubts import doubts_of_background, doubts_of_rig
-from vialight.printing.light import LightKeeper
+from vialight.printing.light import LightOwner, LightRules
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder
 from vialight.printing.session import print_plan
@@ -22,7 +22,8 @@ from vialight.printing.watching import Watcher
 
 __all__ = [
     "EventLog",
-    "LightKeeper",
+    "LightOwner",
+    "LightRules",
     "PrintSettings",
     "Recorder",
     "StageFollower",

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
+import contextlib
+import gc
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,22 +16,24 @@ from vialight.arrays import TURN_RAD
 from vialight.config import Rig
 from vialight.devices import DeviceError, Devices
 from vialight.errors import InputError
-from vialight.links import CameraImage, ControlServer, LiveLink, Mailbox, PrintStatus, StopForecast
+from vialight.links import CameraImage, ControlServer, LightPanel, LiveLink, Mailbox, PrintStatus, StopForecast
 from vialight.printing import preflight
 from vialight.printing.doubts import doubts_of_background
-from vialight.printing.light import LightKeeper
+from vialight.printing.light import LightOwner, LightRules
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder, room_for
 from vialight.printing.settings import PrintSettings, StopMode
 from vialight.printing.track import StageTrack
 from vialight.printing.watching import Watcher
 from vialight.store import FrameWriter, open_frames
+from vialight.system import wait_for
 
 _TICK_S = 0.02
 _STATUS_S = 0.2
 _START_TIMEOUT_S = 30.0
 _READY_TIMEOUT_S = 180.0
 _SPEED_TOLERANCE = 0.02
+_DARK_TIMEOUT_S = 1.0
 
 
 def print_plan(
@@ -74,13 +77,15 @@ def print_plan(
         A device fails before there is light.
     """
     session = _Session(rig, devices, run, mailboxes, settings, watcher, keep_going, on_status, doubts)
-    with ControlServer(session.obey) as control:
-        LiveLink(os.getpid(), str(mailboxes), control.address, control.key).publish(run)
+    with ControlServer(mailboxes, session.obey) as control:
+        LiveLink.of_this_process(mailboxes, control.key, control.port).publish(run)
         try:
             session.prepare()
             session.take_background()
             session.expose()
             session.look_once_more()
+        except _StoppedEarlyError:
+            session.note_the_end()
         except BaseException as error:
             session.fail(error)
             raise
@@ -88,6 +93,10 @@ def print_plan(
             session.end()
             LiveLink.withdraw(run)
     return session.record()
+
+
+class _StoppedEarlyError(Exception):
+    """The light was ended before it began: there is nothing more to wait for."""
 
 
 class _Session:
@@ -98,13 +107,15 @@ class _Session:
         keep_going: Callable[[], bool], on_status: Callable[[PrintStatus], None], doubts: Sequence[str],
     ) -> None:  # fmt: skip
         self._rig, self._devices, self._run, self._settings = rig, devices, run, settings
-        self._watcher, self._keep_going, self._on_status = watcher, keep_going, on_status
+        self._watcher, self._on_status = watcher, on_status
         self._speed = float(np.radians(rig.stage.speed_deg_s))
         self._log = EventLog(run / "log.jsonl", devices.clock)
         self._doubts = tuple(doubts)
         self._track = StageTrack()
-        self._camera_box = Mailbox(mailboxes / "camera", 2**16 + 2 * int(np.prod(devices.camera.image_shape)))
-        self._status_box = Mailbox(mailboxes / "status", 2**16)
+        self._camera_box = Mailbox(
+            mailboxes / "camera", CameraImage, 2**16 + 2 * int(np.prod(devices.camera.image_shape))
+        )
+        self._status_box = Mailbox(mailboxes / "status", PrintStatus, 2**16)
         self._recorder = Recorder(
             devices.camera,
             devices.clock,
@@ -114,12 +125,13 @@ class _Session:
             self._show_frame,
         )
         checks = {"camera": self._recorder.camera_fault, "disk": self._recorder.disk_fault, "live": watcher.fault}
-        self._light = LightKeeper(devices, self._track, rig.stage.direction, self._speed, checks, self._log)
+        self._panel = LightPanel(mailboxes)
+        rules = LightRules(rig.stage.direction * self._speed, self._lit_s_to_stop, checks, keep_going)
+        self._light = LightOwner(devices, self._track, rules, self._panel, self._log)
         self._image: CameraImage | None = None
         self._mode: StopMode = settings.stop
         self._extra_turns = 0.0
         self._forecast: StopForecast | None = None
-        self._ended_by = ""
         self._gave_up_on: str | None = None
         self._state = "preflight"
         self._status_at = 0.0
@@ -172,33 +184,39 @@ class _Session:
     def expose(self) -> None:
         """Let light through until it is enough."""
         self._enter("printing", "light on")
-        self._light.light_on()
+        self._light.permit()
         held_since: float | None = None
-        while not self._light.is_over:
-            self._tick()
-            self._light.stop_at(self._lit_s_to_stop())
-            fault, now = self._light.fault, time.monotonic()
-            self._state = "printing" if fault is None else "dark"
-            held_since = None if fault is None else held_since or now
-            if held_since is not None:
-                self._watcher_again()
-                if now - held_since > self._settings.give_up_s / self._devices.clock.rate:
-                    self._gave_up_on = fault
-                    self._end_light("fault", f"given up: {fault}")
-        self._ended_by = self._ended_by or self._mode
-        self._log.note("stop", f"light off after {self._light.lit_s:.1f} s ({self._ended_by})", by=self._ended_by,
+        with _short_pauses_for_garbage():
+            while not self._light.is_over:
+                self._tick()
+                fault, now = self._light.fault, time.monotonic()
+                self._state = "printing" if fault is None else "dark"
+                held_since = None if fault is None else held_since or now
+                if held_since is not None:
+                    self._watcher_again()
+                    if now - held_since > self._settings.give_up_s / self._devices.clock.rate:
+                        self._gave_up_on = fault
+                        self._light.end("fault", f"given up: {fault}")
+        if self._light.ended_by == "fault":
+            self._gave_up_on = self._gave_up_on or self._light.fault
+        self.note_the_end()
+
+    def note_the_end(self) -> None:
+        """Write down who ended the light, and when."""
+        by = self._ended_by()
+        self._log.note("stop", f"light off after {self._light.lit_s:.1f} s ({by})", by=by,
                        forecast=None if self._forecast is None else asdict(self._forecast))  # fmt: skip
 
     def look_once_more(self) -> None:
         """Image on in the dark: these frames make the final shape."""
         self._enter("after", "light off; imaging on")
         if (self._gave_up_on or self._light.fault) is None:
-            self._pass_time(self._settings.after_turns * self._turn_s + 2 / self._settings.frame_rate_hz)
+            self._pass_time(self._settings.after_turns * self._turn_s + 2 / self._settings.frame_rate_hz, is_after=True)
 
     def fail(self, error: BaseException) -> None:
         """Note why the print has ended too early."""
-        self._light.light_off()
-        self._state, self._ended_by = "failed", type(error).__name__
+        self._light.end(type(error).__name__)
+        self._state = "failed"
         self._log.note("fault", f"the print has failed: {error or type(error).__name__}")
 
     def end(self) -> None:
@@ -216,7 +234,7 @@ class _Session:
     def record(self) -> dict[str, Any]:
         """Return what is known of the print."""
         return {
-            "ended_by": self._ended_by,
+            "ended_by": self._ended_by(),
             "lit_s": round(self._light.lit_s, 3),
             "lit_turns": round(self._light.lit_rad / TURN_RAD, 4),
             "frames": self._recorder.written,
@@ -227,21 +245,32 @@ class _Session:
         }
 
     def obey(self, order: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out an order from the page or another program."""
+        """Carry out an order from the page or another program: Stop first of all, and written down afterwards."""
         do, by = order.get("do"), str(order.get("by", "unknown"))[:80]
-        self._log.note("order", f"{do} ({by})", order=dict(order))
         if do == "stop":
-            self._end_light(by, f"stopped ({by})")
-        elif do == "extend":
+            self._light.end(by, f"stopped ({by})")
+            wait_for(lambda: self._panel.is_dark_for_good, timeout_s=_DARK_TIMEOUT_S, every_s=0.002)
+        self._log.note("order", f"{do} ({by})"[:200], order={key: order[key] for key in list(order)[:4]})
+        if do == "extend":
             turns = order.get("turns", 1.0)
             if not (isinstance(turns, int | float) and -100 <= turns <= 100):
-                raise InputError("extend", f"turns is {turns!r}", accepted="a number of turns")
+                raise InputError("extend", f"turns is {turns!r}"[:200], accepted="a number of turns")
             self._extra_turns += float(turns)
         elif do == "mode" and order.get("mode") in ("auto", "manual"):
             self._mode = order["mode"]
-        else:
+        elif do != "stop":
             raise InputError("order", f"is {dict(order)!r}"[:200], accepted="stop, extend, mode auto or manual")
-        return {"mode": self._mode, "extra_turns": self._extra_turns, "is_over": self._light.is_over}
+        return {
+            "mode": self._mode,
+            "extra_turns": self._extra_turns,
+            "is_over": self._light.is_over,
+            "is_dark": self._panel.is_dark_for_good,
+        }
+
+    def _ended_by(self) -> str:
+        """Return who ended the light; the mode where it has had what it was to have."""
+        by = self._light.ended_by
+        return self._mode if by in ("", "done") else by
 
     def _lit_s_to_stop(self) -> float:
         """Return after how much light the print ends, as far as known."""
@@ -255,11 +284,6 @@ class _Session:
             left = (self._settings.turns + self._extra_turns) * TURN_RAD - self._light.lit_rad
             return min(self._light.lit_s + left / self._speed, longest)
         return longest
-
-    def _end_light(self, by: str, message: str) -> None:
-        self._light.light_off()
-        self._ended_by = self._ended_by or by
-        self._log.note("light", message)
 
     def _watcher_again(self) -> None:
         """Start the watcher anew where it has died; it catches up from the recording."""
@@ -281,21 +305,29 @@ class _Session:
 
     def _tick(self) -> None:
         time.sleep(_TICK_S)
-        if not self._keep_going() and not self._light.is_over:
-            self._end_light("operator", "stopped (operator)")
+        self._show_now_and_then()
+
+    def _show_now_and_then(self) -> None:
         if time.monotonic() - self._status_at > _STATUS_S:
             self._publish()
 
-    def _pass_time(self, duration_s: float) -> None:
-        end = self._devices.clock.now_s() + duration_s
-        self._wait(lambda: self._devices.clock.now_s() >= end, "print", "time does not pass", 10 * duration_s + 10)
+    def _pass_time(self, duration_s: float, *, is_after: bool = False) -> None:
+        end, patience_s = self._devices.clock.now_s() + duration_s, 10 * duration_s + 10
+        has_passed = lambda: self._devices.clock.now_s() >= end  # noqa: E731 - one line, used once
+        self._wait(has_passed, "print", "time does not pass", patience_s, is_after=is_after)
 
-    def _wait(self, until: Callable[[], bool], device: str, fault: str, timeout_s: float = _START_TIMEOUT_S) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not until():
-            self._tick()
-            if time.monotonic() > deadline:
-                raise DeviceError(device, f"{fault} within {timeout_s:.0f} s")
+    def _wait(
+        self, until: Callable[[], bool], device: str, fault: str, timeout_s: float = _START_TIMEOUT_S, *,
+        is_after: bool = False,
+    ) -> None:  # fmt: skip
+        """Wait; before the light has begun, until it is ended at the longest."""
+        told = wait_for(
+            lambda: until() or (self._light.is_over and not is_after), timeout_s=timeout_s, tick=self._show_now_and_then
+        )
+        if told is not None:
+            raise DeviceError(device, f"{fault} ({told})")
+        if self._light.is_over and not is_after:
+            raise _StoppedEarlyError
 
     def _publish(self) -> None:
         self._status_at = time.monotonic()
@@ -313,3 +345,14 @@ class _Session:
         )  # fmt: skip
         self._status_box.put(status)
         self._on_status(status)
+
+
+@contextlib.contextmanager
+def _short_pauses_for_garbage() -> Iterator[None]:
+    """Keep the interpreter from looking through all that was there before whenever it clears memory away."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

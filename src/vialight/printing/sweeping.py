@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vialight.arrays import TURN_RAD
-from vialight.devices import LEASE_S, CameraFrame, DeviceError, Devices, DeviceTimeoutError, Lease, Shown
+from vialight.devices import LEASE_S, CameraFrame, DeviceError, Devices, DeviceTimeoutError, Lease, LightPhase, Shown
 
 DARK_FRAMES = 8
 SETTLED_S = 0.1
@@ -94,9 +94,10 @@ def _renew(devices: Devices, direction: int, speed_rad_s: float, ends_s: float, 
         return answered_s
     devices.projector.renew(
         Lease(
-            time.monotonic() + LEASE_S, direction * position.angle_rad, position.time_s, direction * speed_rad_s, ends_s
+            LightPhase.LIT, time.monotonic() + LEASE_S, direction * position.angle_rad, position.time_s,
+            direction * speed_rad_s, ends_s,
         )
-    )
+    )  # fmt: skip
     return position.time_s
 
 

@@ -1,17 +1,30 @@
-"""What vialight asks the operating system: who a process is and how it does; and the one way to wait for something.
+"""What vialight asks the operating system.
 
 - `processes`: a process told apart from a later one of the same number; whether it runs, is stopped, or is gone
+- `shared_files`: private folders in memory, and files in them that several processes map
+- `interrupts`: Ctrl-C and the wish to end, heard at once whatever the main thread does
+- `lines`: lines for a slow place, for which nobody waits
 - `waiting`: waits that have an end, and end at once where something is wrong
 """
 
+from vialight.system.interrupts import StopAsked, leave_interrupts_to_the_print
+from vialight.system.lines import LineWriter
 from vialight.system.processes import ProcessIdentity, ProcessState, identity_of, is_same_process, state_of
+from vialight.system.shared_files import is_shared_folder, make_shared_file, map_shared_file, shared_folder
 from vialight.system.waiting import wait_for
 
 __all__ = [
+    "LineWriter",
     "ProcessIdentity",
     "ProcessState",
+    "StopAsked",
     "identity_of",
     "is_same_process",
+    "is_shared_folder",
+    "leave_interrupts_to_the_print",
+    "make_shared_file",
+    "map_shared_file",
+    "shared_folder",
     "state_of",
     "wait_for",
 ]

@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from vialight.errors import InputError
-from vialight.links import leave_interrupts_to_the_print
+from vialight.system import leave_interrupts_to_the_print
 
 if TYPE_CHECKING:
     import uvicorn

@@ -88,12 +88,21 @@ class Board:
         return any(kind in kinds for kinds in self._readers.values())
 
 
+_KINDS: dict[str, Any] = {
+    "status": PrintStatus,
+    "snapshot": Snapshot,
+    "surface": SurfaceSnapshot,
+    "camera": CameraImage,
+}
+"""Mailbox to what is in it."""
+
+
 class _Reader:
     """One mailbox of whichever print is live."""
 
     def __init__(self, name: str) -> None:
-        self._name = name
-        self._box: Mailbox | None = None
+        self._name, self._kind = name, _KINDS[name]
+        self._box: Mailbox[Any] | None = None
         self._number = 0
 
     def newest(self, link: LiveLink) -> Any | None:
@@ -105,7 +114,7 @@ class _Reader:
         if self._box is None:
             if not path.exists():
                 return None
-            self._box, self._number = Mailbox(path), 0
+            self._box, self._number = Mailbox(path, self._kind), 0
         found = self._box.newest(self._number)
         if found is None:
             return None

@@ -18,12 +18,12 @@ from vialight.calibrate import Finding, Findings
 from vialight.calibrate.latency import Found, Turn, delay_between_camera_and_stage, delay_of_flashes
 from vialight.commands.calibrating.writing import check_out, write_calibrated
 from vialight.config import CameraSettings, Rig, StageSettings, load_rig
-from vialight.devices import LEASE_S, Camera, Clock, DeviceTimeoutError, Lease, MonotonicClock, Projector
+from vialight.devices import LEASE_S, Camera, Clock, DeviceTimeoutError, Lease, LightPhase, MonotonicClock, Projector
 from vialight.devices.opening import open_camera
 from vialight.devices.projectors import open_projector
 from vialight.errors import InputError
-from vialight.links import shared_folder
 from vialight.store import open_frames
+from vialight.system import shared_folder
 
 _FLASHES = 12
 _LIT_S, _DARK_S = 0.5, 0.5
@@ -86,7 +86,7 @@ def watch_flashes(
         """Take frames up to a time; return since when the projector shows what it is to show."""
         while clock.now_s() < until_s:
             if is_lit:
-                projector.renew(Lease(time.monotonic() + LEASE_S, 0.0, clock.now_s(), 0.0, math.inf))
+                projector.renew(Lease(LightPhase.LIT, time.monotonic() + LEASE_S, 0.0, clock.now_s(), 0.0, math.inf))
             try:
                 frame = camera.next_frame(_POLL_S)
             except DeviceTimeoutError:

@@ -7,7 +7,7 @@ from pathlib import Path
 from vialight.arrays import FloatArray
 from vialight.config import Projector as ProjectorTable
 from vialight.config import ProjectorSettings
-from vialight.devices.projecting import ProjectorProcess
+from vialight.devices.projecting import ProjectorParts, ProjectorProcess
 from vialight.devices.projectors.levels import read_flat_field
 from vialight.devices.projectors.monitors import Monitor, check_size, list_monitors
 from vialight.devices.protocols import Clock
@@ -48,13 +48,21 @@ def open_projector(
     DeviceError
         No window can be opened that shows patterns as they are.
     """
+    from vialight.devices.projectors.cover import WindowCoverMaker
     from vialight.devices.projectors.curtain import draw_curtain
     from vialight.devices.projectors.window import WindowMaker
 
     settings = table.settings or ProjectorSettings()
-    draw_curtain(settings.monitor, (table.columns, table.rows))
-    maker = WindowMaker(table, plan_path, rig_folder)
-    return ProjectorProcess(maker, clock, angles_rad, folder, log, latency_s=settings.latency_s)
+    size = (table.columns, table.rows)
+    draw_curtain(settings.monitor, size)
+    parts = ProjectorParts(
+        WindowMaker(table, plan_path, rig_folder),
+        WindowCoverMaker(settings.monitor, size),
+        angles_rad,
+        log,
+        settings.latency_s,
+    )
+    return ProjectorProcess(parts, clock, folder)
 
 
 def told_of_projector(table: ProjectorTable, rig_folder: Path) -> list[str]:

@@ -6,16 +6,15 @@ server paints it by itself, and it stays when the print is over or killed: the v
 
 from __future__ import annotations
 
-import ctypes
 import fcntl
 import os
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from vialight.devices.projectors.monitors import full_screen_window, start_glfw
+from vialight.devices.projectors.x11 import let_server_paint
 from vialight.devices.protocols import DeviceError
 from vialight.errors import VialightError
 
@@ -76,7 +75,7 @@ def _hold(path: Path, monitor: int | str, size: tuple[int, int]) -> None:
         try:
             glfw = start_glfw()
             window, _ = full_screen_window(glfw, monitor, size, "vialight: curtain")
-            _let_server_paint(glfw, window)
+            let_server_paint(glfw, window)
         except VialightError as error:
             path.write_text(str(error), encoding="utf-8")
             return
@@ -88,15 +87,6 @@ def _hold(path: Path, monitor: int | str, size: tuple[int, int]) -> None:
                 break
         glfw.terminate()
         path.unlink(missing_ok=True)
-
-
-def _let_server_paint(glfw: Any, window: Any) -> None:
-    """Make black the window's background: without, what was over it stays on the screen until its process paints."""
-    x11 = ctypes.CDLL("libX11.so.6")
-    display, handle = ctypes.c_void_p(glfw.get_x11_display()), ctypes.c_ulong(glfw.get_x11_window(window))
-    x11.XSetWindowBackground(display, handle, ctypes.c_ulong(0))
-    x11.XClearWindow(display, handle)
-    x11.XSync(display, 0)
 
 
 if __name__ == "__main__":

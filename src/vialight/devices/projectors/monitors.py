@@ -111,6 +111,25 @@ def check_window(glfw: Any, window: Any, size: tuple[int, int]) -> None:
         )  # fmt: skip
 
 
+def chosen_monitor(glfw: Any, monitor: int | str) -> tuple[Any, Monitor]:
+    """Return GLFW's handle of a monitor, by index or name, and what it is.
+
+    Raises
+    ------
+    InputError
+        There is no such monitor.
+    """
+    handles = glfw.get_monitors()
+    known = [_described(glfw, index, handle) for index, handle in enumerate(handles)]
+    for handle, found in zip(handles, known, strict=True):
+        if monitor in (found.index, found.name):
+            return handle, found
+    raise InputError(
+        "[projector.settings]", f"monitor is {monitor!r}", accepted=", ".join(map(str, known)) or "none is connected",
+        remedy="connect it, or choose by index or name",
+    )  # fmt: skip
+
+
 def full_screen_window(glfw: Any, monitor: int | str, size: tuple[int, int], title: str) -> tuple[Any, Monitor]:
     """Open a window that fills a monitor, without frame, cursor or screen saver.
 
@@ -128,7 +147,7 @@ def full_screen_window(glfw: Any, monitor: int | str, size: tuple[int, int], tit
     DeviceError
         The image would be scaled, or the window cannot be opened.
     """
-    handle, found = _chosen(glfw, monitor)
+    handle, found = chosen_monitor(glfw, monitor)
     check_size(found, size)
     mode = glfw.get_video_mode(handle)
     for hint, value in (
@@ -147,18 +166,6 @@ def full_screen_window(glfw: Any, monitor: int | str, size: tuple[int, int], tit
     glfw.poll_events()
     check_window(glfw, window, size)
     return window, found
-
-
-def _chosen(glfw: Any, monitor: int | str) -> tuple[Any, Monitor]:
-    handles = glfw.get_monitors()
-    known = [_described(glfw, index, handle) for index, handle in enumerate(handles)]
-    for handle, found in zip(handles, known, strict=True):
-        if monitor in (found.index, found.name):
-            return handle, found
-    raise InputError(
-        "[projector.settings]", f"monitor is {monitor!r}", accepted=", ".join(map(str, known)) or "none is connected",
-        remedy="connect it, or choose by index or name",
-    )  # fmt: skip
 
 
 def _described(glfw: Any, index: int, handle: Any) -> Monitor:

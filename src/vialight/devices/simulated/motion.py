@@ -7,6 +7,7 @@ import time
 from vialight.devices.protocols import Clock, DeviceTimeoutError, StagePosition
 from vialight.devices.simulated.mishaps import Mishaps
 from vialight.links import Mailbox
+from vialight.system import state_of
 
 SPIN_UP_S = 0.5
 """In which the stage reaches its speed, evenly."""
@@ -54,10 +55,12 @@ class SimulatedStage:
         In which the world finds the motion.
     mishaps
         What is to go wrong.
+    world_pid
+        Of the process that simulates: while it is held up, so is the stage.
     """
 
-    def __init__(self, clock: Clock, mailbox: Mailbox, mishaps: Mishaps) -> None:
-        self._clock, self._mailbox, self._mishaps = clock, mailbox, mishaps
+    def __init__(self, clock: Clock, mailbox: Mailbox[Segments], mishaps: Mishaps, world_pid: int) -> None:
+        self._clock, self._mailbox, self._mishaps, self._world_pid = clock, mailbox, mishaps, world_pid
         self._segments: Segments = ()
 
     def start(self, speed_rad_s: float) -> None:
@@ -68,7 +71,7 @@ class SimulatedStage:
     def position(self, timeout_s: float) -> StagePosition:
         """Return where the stage is."""
         now = self._clock.now_s()
-        if now >= self._mishaps.stage_silent_at_s:
+        if now >= self._mishaps.stage_silent_at_s or state_of(self._world_pid) != "runs":
             time.sleep(timeout_s)
             raise DeviceTimeoutError("stage", f"has not answered within {timeout_s:g} s")
         return StagePosition(angle_at(self._segments, now), now)

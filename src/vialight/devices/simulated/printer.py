@@ -14,12 +14,14 @@ from typing import Any, Self
 
 from vialight.arrays import FloatArray
 from vialight.devices.clocks import SimulatedClock
-from vialight.devices.projecting import ProjectorProcess
+from vialight.devices.projecting import ProjectorParts, ProjectorProcess
 from vialight.devices.protocols import CameraFrame, DeviceError, Devices, DeviceTimeoutError
-from vialight.devices.simulated.display import DisplayWindow, run_display
-from vialight.devices.simulated.motion import SimulatedStage
-from vialight.devices.simulated.world import WorldSettings, run_world
-from vialight.links import Mailbox, shared_folder
+from vialight.devices.simulated.display import DisplayCover, DisplayWindow, run_display
+from vialight.devices.simulated.motion import Segments, SimulatedStage
+from vialight.devices.simulated.world import WorldAnswer, WorldOrder, WorldSettings, run_world
+from vialight.links import Mailbox
+from vialight.links.codec import decoder_of, encode
+from vialight.system import shared_folder
 
 _START_TIMEOUT_S = 120.0
 _TRUTH_TIMEOUT_S, _DRAIN_S = 60.0, 0.02
@@ -62,7 +64,7 @@ class SimulatedPrinter:
     ) -> None:
         self.folder = shared_folder()
         context = multiprocessing.get_context("spawn")
-        motion = Mailbox(self.folder / "motion", 10_000)
+        motion = Mailbox(self.folder / "motion", Segments, 10_000)
         (self.folder / "flips").touch()
         self._orders, their_orders = context.Pipe()
         self._frames, their_frames = context.Pipe()
@@ -74,21 +76,25 @@ class SimulatedPrinter:
         self.processes: dict[str, Any] = {"world": world, "display": display}
         try:
             world.start()
-            shape = _answer(self._orders, their_orders, "simulated printer")
+            answer = decoder_of(WorldAnswer)(_answer(self._orders, their_orders, "simulated printer"))
             display.start()
             _answer(ready, their_ready, "simulated display")
             their_frames.close()
             clock = SimulatedClock(self.folder / "clock")
-            projector = ProjectorProcess(
-                partial(DisplayWindow, self.folder, refresh_hz), clock,
-                pattern_angles_rad, self.folder, projector_log,
-            )  # fmt: skip
+            parts = ProjectorParts(
+                partial(DisplayWindow, self.folder, refresh_hz),
+                partial(DisplayCover, self.folder),
+                pattern_angles_rad,
+                projector_log,
+            )
+            projector = ProjectorProcess(parts, clock, self.folder)
         except BaseException:
             self._end()
             raise
         self.projector = projector
-        camera = _SimulatedCamera(shape, settings.full_level, self._frames, self._orders)
-        self.devices = Devices(clock, camera, SimulatedStage(clock, motion, settings.mishaps), projector)
+        camera = _SimulatedCamera(answer.image_shape, settings.full_level, self._frames, self._orders)
+        assert world.pid is not None
+        self.devices = Devices(clock, camera, SimulatedStage(clock, motion, settings.mishaps, world.pid), projector)
 
     def __enter__(self) -> Self:
         return self
@@ -100,20 +106,20 @@ class SimulatedPrinter:
 
     def put_in(self) -> None:
         """Put the part that the settings name into the vial, cured."""
-        self._orders.send(("put in",))
+        self._orders.send_bytes(encode(WorldOrder("put in")))
 
     def write_truth(self, path: Path) -> dict[str, float] | None:
         """Write what has truly gelled as STL and return its volume and the largest dose; None where that fails."""
         with contextlib.suppress(OSError, EOFError):
-            self._orders.send(("truth", str(path)))
+            self._orders.send_bytes(encode(WorldOrder("truth", path=str(path))))
             deadline = time.monotonic() + _TRUTH_TIMEOUT_S
             while not self._orders.poll(_DRAIN_S):
                 while self._frames.poll():  # the world waits for room for a frame that nobody takes any more
                     self._frames.recv_bytes()
                 if time.monotonic() > deadline:
                     return None
-            told: dict[str, float] | None = self._orders.recv()
-            return told
+            answer: WorldAnswer = decoder_of(WorldAnswer)(self._orders.recv_bytes())
+            return answer.truth
         return None
 
     def close(self) -> None:
@@ -129,12 +135,12 @@ class SimulatedPrinter:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _answer(connection: Connection[Any, Any], other_end: Connection[Any, Any], who: str) -> Any:
+def _answer(connection: Connection[Any, Any], other_end: Connection[Any, Any], who: str) -> bytes:
     """Return the first thing that a new process says; its end is closed here, so that its death is seen."""
     other_end.close()
     try:
         if connection.poll(_START_TIMEOUT_S):
-            return connection.recv()
+            return connection.recv_bytes()
     except EOFError:
         raise DeviceError(who, "has ended while it started") from None
     raise DeviceError(who, f"has not started within {_START_TIMEOUT_S:g} s")
@@ -151,13 +157,13 @@ class _SimulatedCamera:
 
     def start(self, frame_rate_hz: float) -> None:
         """Begin to grab."""
-        self._orders.send(("frames", frame_rate_hz))
+        self._orders.send_bytes(encode(WorldOrder("frames", frame_rate_hz)))
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
         """Return the oldest frame not yet handed over."""
         try:
             if self._frames.poll(timeout_s):
-                frame: CameraFrame = self._frames.recv()
+                frame: CameraFrame = decoder_of(CameraFrame)(self._frames.recv_bytes())
                 return frame
         except (EOFError, OSError) as error:
             raise DeviceError("camera", "the simulated printer has ended") from error

@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,10 +17,12 @@ from vialight.devices.simulated.display import BLACK, read_flips
 from vialight.devices.simulated.mishaps import Mishaps
 from vialight.devices.simulated.motion import Segments, angle_at
 from vialight.errors import InputError
-from vialight.links import Mailbox, leave_interrupts_to_the_print
+from vialight.links import Mailbox
+from vialight.links.codec import decoder_of, encode
 from vialight.mesh import load_mesh
 from vialight.plan import Patterns
 from vialight.store import read_plan, write_stl
+from vialight.system import leave_interrupts_to_the_print
 from vialight.target import voxelise
 from vialight.twin import Twin, TwinSettings, find_rig, grid_round, load_resin
 
@@ -67,6 +69,21 @@ class WorldSettings:
         return int(min((2**self.twin.sensor.bits - 1) * self.twin.binning**2, 65535))
 
 
+class WorldOrder(NamedTuple):
+    """What the simulated printer is to do: "frames" at a rate, "put in" the part, or write the "truth" to a file."""
+
+    do: str
+    frame_rate_hz: float = 0.0
+    path: str = ""
+
+
+class WorldAnswer(NamedTuple):
+    """What it says when it has begun, and of the truth."""
+
+    image_shape: tuple[int, int]
+    truth: dict[str, float] | None = None
+
+
 class _TurnedTwin(Twin):
     """A twin that stands on a stage of its own."""
 
@@ -91,18 +108,18 @@ def run_world(
     reach = np.inf if optics is None else float(optics.field_radius_mm)
     twin = _TurnedTwin(rig, resin, grid_round(part, settings.voxel_mm, reach_mm=reach), settings.twin)
     world = _World(settings, twin, None if plan is None else plan.patterns, folder, frames)
-    orders.send(twin.image_shape)
+    orders.send_bytes(encode(WorldAnswer(twin.image_shape)))
     parent = multiprocessing.parent_process()
     assert parent is not None
     while not wait([parent.sentinel], timeout=0):
         if orders.poll(0 if world.is_due() else 0.002):
-            order = orders.recv()
-            if order[0] == "frames":
-                world.start_camera(order[1])
-            elif order[0] == "put in":
+            order = decoder_of(WorldOrder)(orders.recv_bytes())
+            if order.do == "frames":
+                world.start_camera(order.frame_rate_hz)
+            elif order.do == "put in":
                 twin.harden(voxelise(part, twin.grid, coverage=True))
-            elif order[0] == "truth":
-                orders.send(_write_truth(twin, Path(order[1])))
+            elif order.do == "truth":
+                orders.send_bytes(encode(WorldAnswer(twin.image_shape, _write_truth(twin, Path(order.path)))))
             else:
                 return
         world.tick()
@@ -131,7 +148,7 @@ class _World:
         self._twin, self._folder, self._frames, self._mishaps = twin, folder, frames, settings.mishaps
         self._levels = [] if patterns is None else list(patterns.levels)
         self._corner = (0, 0) if patterns is None else (patterns.first_row, patterns.first_column)
-        self._motion = Mailbox(folder / "motion")
+        self._motion = Mailbox(folder / "motion", Segments)
         self._rng = np.random.default_rng(settings.mishaps.seed)
         self._flips_seen = 0
         self._period_s = 0.1
@@ -192,4 +209,4 @@ class _World:
             self._send(frame)
 
     def _send(self, frame: CameraFrame) -> None:
-        self._frames.send(frame)
+        self._frames.send_bytes(encode(frame))

@@ -1,0 +1,187 @@
+"""The guardian: a process that watches the projector's, and covers its light where that hangs or does not obey.
+
+A projector's process goes black by itself when its leave ends; one that hangs does nothing by itself.  So another
+process, which does nothing else, looks at its signs of life a hundred times a second.  Where they stop it draws a cover
+over the light and ends the projector's process.  The session watches the guardian in turn.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, Protocol
+
+import psutil
+
+from vialight.devices.leasing import LOOK_S, Sight, Vigil
+from vialight.devices.protocols import Lease, Shown
+from vialight.errors import VialightError
+from vialight.links import LightPanel, Mailbox
+from vialight.system import leave_interrupts_to_the_print
+
+CLOSING = b"closing"
+_CLOSING_S = 3.0
+"""That the projector may take to end when it was told to."""
+_ORPHANED_S = 0.2
+"""That the projector may take to end by itself when the process that prints has ended."""
+
+
+class Cover(Protocol):
+    """Something black that can be drawn over the projector's light."""
+
+    def cover(self) -> None:
+        """Draw it; returns when no light comes through."""
+        ...
+
+    def tend(self) -> None:
+        """Do what is to be done between looks."""
+        ...
+
+    def close(self) -> None:
+        """Take it away, where it was drawn."""
+        ...
+
+
+class CoverMaker(Protocol):
+    """Makes the cover, in the guardian's process; must be picklable."""
+
+    def __call__(self) -> Cover:
+        """Return a cover that is not drawn."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ward:
+    """Who is guarded.
+
+    Parameters
+    ----------
+    make_cover
+        Called in the guardian's process.
+    folder
+        The print's shared folder.
+    pid
+        Of the projector's process.
+    """
+
+    make_cover: CoverMaker
+    folder: Path
+    pid: int
+
+
+def guard(ward: Ward, session: Connection[Any, Any], alive: Connection[Any, Any]) -> None:
+    """Watch until the projector has ended.
+
+    Parameters
+    ----------
+    ward
+        Who is guarded.
+    session
+        Told an empty message when the watch begins, or what keeps it from that, and the reason of every alarm.  What
+        comes from it is the wish to close; its end is that of the process that prints.
+    alive
+        Ends with the projector's process.
+    """
+    leave_interrupts_to_the_print()
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(-10)
+    try:
+        watch = _Watch(ward)
+    except VialightError as error:
+        session.send_bytes(str(error).encode())
+        return
+    session.send_bytes(b"")
+    try:
+        watch.keep(session, alive)
+    finally:
+        watch.close()
+
+
+@dataclass
+class _Watch:
+    ward: Ward
+    vigil: Vigil = field(default_factory=Vigil)
+
+    def __post_init__(self) -> None:
+        self._panel = LightPanel(self.ward.folder)
+        self._shown = Mailbox(self.ward.folder / "shown", Shown)
+        self._leases = Mailbox(self.ward.folder / "lease", Lease)
+        self._cover = self.ward.make_cover()
+        self._panel.beat("guardian")
+
+    def close(self) -> None:
+        self._cover.close()
+
+    def keep(self, session: Connection[Any, Any], alive: Connection[Any, Any]) -> None:
+        must_end_s = float("inf")
+        is_closing = False
+        watched: list[Connection[Any, Any]] = [session, alive]
+        while True:
+            self._panel.beat("guardian")
+            ready = wait(watched, timeout=LOOK_S)
+            if alive in ready:  # it says nothing: this is its end
+                if not is_closing:
+                    self._draw()
+                    _tell(session, "has ended")
+                    _wait_for_end(session, self._panel, self._cover)
+                return
+            if session in ready:
+                is_closing = _is_told_to_close(session)
+                watched.remove(session)
+                must_end_s = time.monotonic() + (_CLOSING_S if is_closing else _ORPHANED_S)
+            self._cover.tend()
+            why = self.vigil.alarm(self._look())
+            if why is None and time.monotonic() > must_end_s:
+                why = "has not ended"
+            if why is not None:
+                self._draw()
+                self._kill()
+                _tell(session, why)
+                if not is_closing:
+                    _wait_for_end(session, self._panel, self._cover)
+                return
+
+    def _look(self) -> Sight:
+        now = time.monotonic()  # before what is looked at: time that passes in between must not count against it
+        beat_s = self._panel.last_beat_s("projector")
+        lease, shown = self._leases.newest(), self._shown.newest()
+        return Sight(
+            now,
+            beat_s,
+            shown is not None and shown[1].pattern is not None,
+            lease[1].until_monotonic_s if lease is not None else 0.0,
+            self._panel.is_stopped,
+        )
+
+    def _draw(self) -> None:
+        with contextlib.suppress(VialightError, OSError):
+            self._cover.cover()
+            self._panel.tell_covered()
+
+    def _kill(self) -> None:
+        with contextlib.suppress(psutil.Error, OSError):
+            psutil.Process(self.ward.pid).kill()
+        self._panel.tell_covered()
+
+
+def _tell(session: Connection[Any, Any], why: str) -> None:
+    with contextlib.suppress(OSError):
+        session.send_bytes(why.encode())
+
+
+def _is_told_to_close(session: Connection[Any, Any]) -> bool:
+    try:
+        return session.recv_bytes(64) == CLOSING
+    except (EOFError, OSError):
+        return False
+
+
+def _wait_for_end(session: Connection[Any, Any], panel: LightPanel, cover: Cover) -> None:
+    """Keep the cover drawn until the print is over."""
+    while not wait([session], timeout=LOOK_S):
+        panel.beat("guardian")
+        cover.tend()

@@ -1,0 +1,136 @@
+"""Files in memory that several processes map, in folders that only this user can read."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import mmap
+import os
+import re
+import secrets
+import shutil
+import stat
+import tempfile
+from pathlib import Path
+
+from vialight.errors import InputError
+from vialight.system.processes import ProcessIdentity, identity_of, is_same_process
+
+_PREFIX = "vialight-"
+_OWNER = "owner.json"
+_NAME = re.compile(rf"{_PREFIX}(\d+)-[0-9a-f]{{8}}")
+
+
+def shared_folder() -> Path:
+    """Make a private folder in memory, where the system has such a place, for what the processes of a print share.
+
+    Folders of this user whose process is gone are cleared away.
+    """
+    host = _host()
+    _clear_away_leavings(host)
+    folder = host / f"{_PREFIX}{os.getpid()}-{secrets.token_hex(4)}"
+    folder.mkdir(mode=0o700)
+    (folder / _OWNER).write_text(json.dumps(identity_of()), encoding="utf-8")
+    return folder
+
+
+def is_shared_folder(path: str | Path, pid: int) -> bool:
+    """Tell whether a path is a folder that `shared_folder` has made for a process of this user.
+
+    Examples
+    --------
+    >>> made = shared_folder()
+    >>> is_shared_folder(made, os.getpid()), is_shared_folder(made, 1), is_shared_folder("/tmp", os.getpid())
+    (True, False, False)
+    >>> shutil.rmtree(made)
+    """
+    path = Path(path)
+    name = _NAME.fullmatch(path.name)
+    if name is None or int(name[1]) != pid or path.parent != _host():
+        return False
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(found.st_mode) and _is_private(found)
+
+
+def make_shared_file(path: Path, size: int) -> None:
+    """Make a file of zeros for processes to map; it appears whole, and its memory is set aside.
+
+    Without, a small place in memory (``/dev/shm`` of a container has 64 MB) would end a process when it writes.
+
+    Raises
+    ------
+    InputError
+        There is not so much memory, or the file cannot be made.
+    """
+    fresh = path.with_name(f"{path.name}.new")
+    try:
+        with fresh.open("wb") as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:
+                file.truncate(size)
+        fresh.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            fresh.unlink(missing_ok=True)
+        free = shutil.disk_usage(path.parent).free if path.parent.is_dir() else 0
+        raise InputError(
+            path.parent,
+            f"has no room for {size / 1e6:.1f} MB of shared memory ({error.strerror}; {free / 1e6:.1f} MB free)",
+            remedy="give it more (docker run --shm-size=1g), or choose a larger voxel or binning",
+        ) from error
+
+
+def map_shared_file(path: Path, least: int = 1) -> mmap.mmap:
+    """Map a file that another process has made.
+
+    Raises
+    ------
+    InputError
+        It is not there (any more), or is smaller than it must be.
+    """
+    try:
+        with path.open("r+b") as file:
+            mapped = mmap.mmap(file.fileno(), 0)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or "it is empty"
+        raise InputError(
+            path,
+            f"cannot be opened ({why})",
+            accepted="the shared memory of a running print",
+            remedy="check that the print is running",
+        ) from error
+    if len(mapped) < least:
+        raise InputError(path, f"has {len(mapped)} bytes", accepted=f"{least} or more, as a running print makes them")
+    return mapped
+
+
+def _host() -> Path:
+    memory = Path("/dev/shm")
+    return memory if os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
+
+
+def _is_private(found: os.stat_result) -> bool:
+    """Tell whether only this user may use a folder; where the system has no such rights, its place says so."""
+    if not hasattr(os, "getuid"):
+        return True
+    return found.st_uid == os.getuid() and stat.S_IMODE(found.st_mode) & 0o077 == 0
+
+
+def _clear_away_leavings(host: Path) -> None:
+    for left in host.glob(f"{_PREFIX}*"):
+        name = _NAME.fullmatch(left.name)
+        if name is None or not is_shared_folder(left, int(name[1])):
+            continue
+        if not _has_owner(left, int(name[1])):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _has_owner(folder: Path, pid: int) -> bool:
+    try:
+        return is_same_process(ProcessIdentity(*json.loads((folder / _OWNER).read_text(encoding="utf-8"))))
+    except (OSError, ValueError, TypeError):
+        return identity_of(pid) is not None  # just being made, or what made it ended before it could say who it was
