@@ -87,10 +87,10 @@ def kill_a_print(folder: Path, rig: Path, run: Path, victim: str, after_s: float
     try:
         link = _wait_for(lambda: find_live_print(run))
         assert isinstance(link, LiveLink)
-        shared = Path(link.mailboxes)
+        shared = link.mailboxes
         _wait_for(lambda: any(flip.pattern != BLACK for flip in read_flips(shared)))
         time.sleep(after_s)
-        camera = Mailbox(shared / "camera")
+        camera = Mailbox(shared / "camera", CameraImage)
         doomed = psutil.Process(process.pid) if not VICTIMS[victim] else _child(process.pid, VICTIMS[victim])
         newest = camera.newest()
         killed_s = time.monotonic()

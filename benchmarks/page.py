@@ -26,7 +26,7 @@ from websockets.sync.client import ClientConnection, connect
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from vialight.links import Mailbox, find_live_print
+from vialight.links import Mailbox, Snapshot, find_live_print
 from vialight.web import PageProcess, PageSettings
 from vialight.web.encoding import unpack
 from web.browser import all_flags, chromium, find_chromium, wait
@@ -77,7 +77,7 @@ def publishing_hz(run: Path, during_s: float = 8.0) -> float:
     """Measure how many snapshots a second the print manages to publish."""
     link = find_live_print(run)
     assert link is not None
-    with Mailbox(Path(link.mailboxes) / "snapshot") as box:
+    with Mailbox(link.mailboxes / "snapshot", Snapshot) as box:
         first, began = box.newest(), time.monotonic()
         time.sleep(during_s)
         last, ended = box.newest(), time.monotonic()

@@ -56,6 +56,9 @@ class FlashingInstruments:
     def renew(self, lease: Lease) -> None:
         self._show(0)
 
+    def end(self) -> None:
+        self.darken()
+
     def darken(self) -> None:
         self._show(None)
 

@@ -24,7 +24,7 @@ from vialight.cli import main
 from vialight.commands import printing
 from vialight.devices.simulated.display import BLACK, read_flips
 from vialight.feedback import StopModel
-from vialight.links import LiveLink, Mailbox, find_live_print
+from vialight.links import CameraImage, LiveLink, Mailbox, find_live_print
 from vialight.mesh import load_mesh
 from vialight.store import list_history, open_frames, read_json, read_series
 
@@ -74,7 +74,7 @@ def running_print(folder: Path, *options: str) -> Iterator[tuple[subprocess.Pope
         process.communicate()
 
 
-def frames_in(camera: Mailbox) -> int:
+def frames_in(camera: Mailbox[CameraImage]) -> int:
     """How many frames are safely recorded."""
     newest = camera.newest()
     return 0 if newest is None else int(newest[1].frame) + 1
@@ -91,7 +91,7 @@ def child(process: subprocess.Popen[str], word: str) -> psutil.Process:
 def test_killed_print_is_dark_within_a_quarter_of_a_second_and_its_frames_can_be_used(tmp_path: Path) -> None:
     with running_print(tmp_path, "--stop", "turns=30") as (process, link, run):
         flips = Path(link.mailboxes) / "flips"
-        camera = Mailbox(Path(link.mailboxes) / "camera")
+        camera = Mailbox(link.mailboxes / "camera", CameraImage)
         wait_for(lambda: frames_in(camera) > MORE_THAN_A_TURN)
         time.sleep(np.random.default_rng().uniform(0, 2))  # at a random moment; benchmarks/killing.py does it often
         recorded = frames_in(camera)

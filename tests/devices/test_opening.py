@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from vialight.config import Rig
-from vialight.devices import DeviceError, MonotonicClock, ProjectorProcess
+from vialight.devices import DeviceError, MonotonicClock, ProjectorParts, ProjectorProcess
 from vialight.devices.opening import names_devices, open_camera, open_stage
 from vialight.devices.projectors import list_monitors
 from vialight.errors import InputError
@@ -75,9 +75,23 @@ class ClosedScreen:
         pass
 
 
+class NoCover:
+    """What a guardian draws over it."""
+
+    def cover(self) -> None:
+        pass
+
+    def tend(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
 def test_projector_process_says_why_it_has_ended(tmp_path: Path) -> None:
-    projector = ProjectorProcess(ClosedScreen, MonotonicClock(), np.zeros(1), tmp_path, tmp_path / "log.csv")
-    projector._process.join(10.0)
+    parts = ProjectorParts(ClosedScreen, NoCover, np.zeros(1), tmp_path / "log.csv")
+    projector = ProjectorProcess(parts, MonotonicClock(), tmp_path)
+    projector.processes["projector"].join(10.0)
     with pytest.raises(DeviceError, match=r"^projector: its window was closed$"):
         projector.shown()
     projector.close()

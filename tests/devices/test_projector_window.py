@@ -17,14 +17,16 @@ from devices.xvfb import COLUMNS, ROWS, Xvfb, needs_xvfb
 from twin.test_print import upright_cylinder
 from vialight.arrays import Grid
 from vialight.config import Projector, ProjectorSettings, Rig
-from vialight.devices import DeviceError, Lease, MonotonicClock, ProjectorProcess
+from vialight.devices import DeviceError, DeviceGoneError, Lease, LightPhase, MonotonicClock, ProjectorProcess
 from vialight.devices.projectors import list_monitors, open_projector, randr, told_of_projector
 from vialight.devices.projectors.curtain import draw_curtain
 from vialight.devices.projectors.levels import light_of_levels, sent_levels
 from vialight.devices.projectors.window import WindowScreen
 from vialight.errors import InputError
+from vialight.links import LightPanel
 from vialight.plan import Patterns, Plan
 from vialight.store import write_plan
+from vialight.system import wait_for
 
 pytestmark = [needs_xvfb, pytest.mark.alone]
 
@@ -70,7 +72,7 @@ def projector(folder: Path, table: Projector = TABLE) -> Iterator[ProjectorProce
 
 
 def lease(angle_rad: float, speed_rad_s: float = 0.0, for_s: float = 0.15) -> Lease:
-    return Lease(time.monotonic() + for_s, angle_rad, time.monotonic(), speed_rad_s, FOREVER)
+    return Lease(LightPhase.LIT, time.monotonic() + for_s, angle_rad, time.monotonic(), speed_rad_s, FOREVER)
 
 
 def light_up(shown: ProjectorProcess, screen: Xvfb, pattern: int) -> None:
@@ -219,6 +221,44 @@ def test_killed_projector_leaves_the_curtain_in_place_of_light(screen: Xvfb, tmp
         assert screen.is_black()
         with pytest.raises(DeviceError, match="its process has ended"):
             shown.shown()
+
+
+@pytest.mark.parametrize("stopped", ["projector", "guardian"])
+def test_projector_or_guardian_that_hangs_leaves_no_light(screen: Xvfb, tmp_path: Path, stopped: str) -> None:
+    """A projector that hangs does nothing by itself; of a guardian that hangs, the session learns, and darkens."""
+    with projector(tmp_path) as shown:
+        light_up(shown, screen, 6)
+        os.kill(shown.processes[stopped].pid, signal.SIGSTOP)
+        begin = time.monotonic()
+        while not screen.is_black():
+            assert time.monotonic() - begin < 0.25
+            try:
+                shown.shown()
+                shown.renew(lease(ANGLES[6]))
+            except DeviceError:
+                shown.darken()
+            time.sleep(0.01)
+        os.kill(shown.processes[stopped].pid, signal.SIGCONT)
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            assert screen.is_black()
+            time.sleep(0.01)
+        if stopped == "projector":
+            with pytest.raises(DeviceGoneError, match=r"no sign of life for 0.15 s, was covered and ended"):
+                shown.shown()
+
+
+def test_light_that_has_ended_cannot_be_lit_again_by_any_lease(screen: Xvfb, tmp_path: Path) -> None:
+    with projector(tmp_path) as shown:
+        light_up(shown, screen, 6)
+        LightPanel(tmp_path).press_stop()
+        assert screen.wait_until_black(1.0) < 0.25
+        assert wait_for(lambda: LightPanel(tmp_path).is_dark_for_good, timeout_s=1.0) is None
+        end = time.monotonic() + 0.3
+        while time.monotonic() < end:
+            shown.renew(lease(ANGLES[6]))
+            assert screen.is_black()
+            time.sleep(0.01)
 
 
 def test_curtain_is_black_even_while_its_process_stands_still(screen: Xvfb, tmp_path: Path) -> None:

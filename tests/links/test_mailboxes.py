@@ -1,15 +1,34 @@
+"""Mailboxes: the newest message, whole, and only what it is meant to be."""
+
+from __future__ import annotations
+
+import os
 import shutil
+import struct
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from vialight.errors import InputError
-from vialight.links import Mailbox, shared_folder
+from vialight.links import Mailbox
+from vialight.links.codec import decoder_of, encode
+from vialight.system import shared_folder
+
+PATIENCE_S = 30.0
+
+
+@dataclass(frozen=True)
+class Values:
+    """A message with an array."""
+
+    numbers: NDArray[np.int64]
+    number: int = 0
 
 
 @pytest.fixture
@@ -20,58 +39,127 @@ def folder() -> Iterator[Path]:
 
 
 def test_slow_reader_skips_to_the_newest(folder: Path) -> None:
-    with Mailbox(folder / "box", 10_000) as writer, Mailbox(folder / "box") as reader:
+    with Mailbox(folder / "box", int, 10_000) as writer, Mailbox(folder / "box", int) as reader:
         for turn in range(10):
             writer.put(turn)
         assert reader.newest() == (10, 9)
         assert reader.newest(after=10) is None
 
 
-def test_message_is_never_read_torn_while_it_is_replaced(folder: Path) -> None:
-    with Mailbox(folder / "box", 1_100_000) as writer, Mailbox(folder / "box") as reader:
-        done = threading.Event()
+WRITER = """
+import sys
+import numpy as np
+from vialight.links import Mailbox
+from links.test_mailboxes import Values
+with Mailbox(sys.argv[1], Values, 1_100_000) as writer:
+    print("ready", flush=True)
+    for value in range(2000):
+        writer.put(Values(np.full(130_000, value, np.int64), value))
+"""
 
-        def write() -> None:
-            for value in range(400):
-                writer.put(np.full(130_000, value, np.int64))
-            done.set()
 
-        thread = threading.Thread(target=write)
-        thread.start()
-        seen = 0
-        while not done.is_set():
+def test_message_is_never_read_torn_while_another_process_replaces_it(folder: Path) -> None:
+    paths = [str(Path(__file__).parents[1]), *sys.path]
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(folder / "box")], stdout=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))},
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    seen = taken = 0
+    with Mailbox(folder / "box", Values) as reader:
+        while process.poll() is None:
             found = reader.newest(after=seen)
             if found is not None:
-                seen, values = found
-                assert (values == seen - 1).all()
-        thread.join()
-        assert seen > 0
+                seen, taken = found[0], taken + 1
+                assert (found[1].numbers == seen - 1).all()
+                assert found[1].number == seen - 1
+        assert reader.newest() is not None
+    process.stdout.close()
+    assert process.wait() == 0
+    assert taken > 20
 
 
 def test_another_process_reads_it(folder: Path) -> None:
-    with Mailbox(folder / "box", 1000) as writer:
+    with Mailbox(folder / "box", str, 1000) as writer:
         writer.put("hello")
-        code = f"from vialight.links import Mailbox; print(Mailbox({str(folder / 'box')!r}).newest())"
+        code = f"from vialight.links import Mailbox; print(Mailbox({str(folder / 'box')!r}, str).newest())"
         told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert told == "(1, 'hello')\n"
 
 
 def test_message_larger_than_the_mailbox_is_refused(folder: Path) -> None:
-    with Mailbox(folder / "box", 100) as writer, pytest.raises(ValueError, match="mailbox of 100"):
+    with Mailbox(folder / "box", bytes, 100) as writer, pytest.raises(ValueError, match="mailbox of 100"):
         writer.put(bytes(200))
 
 
 def test_mailbox_of_a_print_that_is_gone_is_told(folder: Path) -> None:
     with pytest.raises(InputError, match="running print"):
-        Mailbox(folder / "none")
+        Mailbox(folder / "none", int)
 
 
-def test_folders_of_dead_processes_are_cleared(folder: Path) -> None:
+def test_mailbox_larger_than_the_memory_that_is_free_is_refused_before_anything_is_written(folder: Path) -> None:
+    free = shutil.disk_usage(folder).free
+    with pytest.raises(InputError, match=r"has no room for .* MB of shared memory .*docker run --shm-size"):
+        Mailbox(folder / "box", bytes, 10 * free)
+    assert not list(folder.glob("box*"))
+
+
+@pytest.mark.parametrize("head", [(2**63, 2**63), (1, 0), (2**64 - 1, 2**64 - 1), (7, 100)])
+def test_numbers_of_nonsense_in_a_mailbox_are_no_message(folder: Path, head: tuple[int, int]) -> None:
+    with Mailbox(folder / "box", int, 100):
+        with (folder / "box").open("r+b") as file:
+            file.write(struct.pack("<QQ", *head))
+        with Mailbox(folder / "box", int) as reader:
+            assert reader.newest() is None
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"numbers": ("<i8", (3,), bytes(16))},
+        {"numbers": ("<i8", (-1, -2), bytes(16))},
+        {"numbers": ("<i8", (2**40, 2**40), bytes(16))},
+        {"numbers": ("<f8", (2,), bytes(16))},
+        {"numbers": ("|O", (2,), bytes(16))},
+        {"numbers": "text"},
+        {"number": 3},
+        [1, 2],
+    ],
+)
+def test_message_that_does_not_fit_its_schema_is_refused(message: object) -> None:
+    with pytest.raises(ValueError, match="is no Values"):
+        decoder_of(Values)(encode(message))
+
+
+def test_arrays_come_back_as_they_were() -> None:
+    values = np.arange(12, dtype=np.int64).reshape(3, 4)[:, ::2]
+    found = decoder_of(Values)(encode(Values(values)))
+    assert found.numbers.dtype == values.dtype
+    assert (found.numbers == values).all()
+
+
+def test_folders_of_dead_processes_are_cleared_and_nothing_else(folder: Path) -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    left = folder.parent / f"vialight-{ended.pid}-0"
-    left.mkdir()
-    shutil.rmtree(shared_folder())
-    assert not left.exists()
-    assert folder.exists()
-    assert folder.stat().st_mode & 0o077 == 0
+    left = folder.parent / f"vialight-{ended.pid}-00000000"
+    left.mkdir(mode=0o700)
+    not_ours = folder.parent / f"vialight-{ended.pid}-notours"
+    not_ours.mkdir(mode=0o700)
+    reused = folder.parent / f"vialight-{os.getpid()}-11111111"
+    reused.mkdir(mode=0o700)
+    (reused / "owner.json").write_text(f'[{os.getpid()}, "another time", "another boot", "me"]')
+    open_to_all = folder.parent / f"vialight-{ended.pid}-22222222"
+    open_to_all.mkdir(mode=0o700)
+    open_to_all.chmod(0o777)
+    try:
+        shutil.rmtree(shared_folder())
+        assert not left.exists()
+        assert not reused.exists()  # its process number is in use again, by another process
+        assert not_ours.exists()
+        assert open_to_all.exists()
+        assert folder.exists()
+        assert folder.stat().st_mode & 0o077 == 0
+    finally:
+        for made in (left, not_ours, reused, open_to_all):
+            shutil.rmtree(made, ignore_errors=True)

@@ -11,20 +11,22 @@ import pytest
 
 from printing.prints import recorded_rig
 from vialight.live import LiveSettings, LiveWatcher
+from vialight.live.talking import READY
+from vialight.live.watcher import Name
 
 
 class SlowPipe:
     """A connection with one message, which takes its time to say so; a second reader would wait for ever."""
 
     def __init__(self) -> None:
-        self.messages = ["ready"]
+        self.messages = [READY]
 
     def poll(self) -> bool:
         there = bool(self.messages)
         time.sleep(0.05)
         return there
 
-    def recv(self) -> str:
+    def recv_bytes(self) -> bytes:
         return self.messages.pop()
 
     def close(self) -> None:
@@ -43,7 +45,7 @@ def test_watcher_that_has_not_been_started_has_no_fault(watcher: LiveWatcher) ->
 
 
 def test_threads_that_ask_at_once_hear_the_same(watcher: LiveWatcher) -> None:
-    pipes: dict[str, Any] = {"follower": SlowPipe(), "analyst": SlowPipe()}
+    pipes: dict[Name, Any] = {"follower": SlowPipe(), "analyst": SlowPipe()}
     watcher._orders = pipes
     heard: list[bool] = []
     threads = [threading.Thread(target=lambda: heard.append(watcher.is_ready())) for _ in range(4)]

@@ -58,6 +58,9 @@ class Bench:
     def darken(self) -> None:
         self.lease, self.pattern = None, None
 
+    def end(self) -> None:
+        self.darken()
+
     def shown(self) -> Shown:
         return Shown(self.pattern, self.since_s)
 

@@ -6,7 +6,6 @@ The part is a torus that grows; 10 snapshots and one surface a second, of whatev
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -27,6 +26,7 @@ from vialight.errors import InputError
 from vialight.links import (
     CameraImage,
     ControlServer,
+    LightPanel,
     LiveLink,
     Mailbox,
     PrintStatus,
@@ -34,7 +34,6 @@ from vialight.links import (
     StopForecast,
     Sums,
     SurfaceSnapshot,
-    shared_folder,
 )
 from vialight.live import Moment, SharedVolume
 from vialight.live.analysis import region_of
@@ -51,6 +50,7 @@ from vialight.store import (
     write_stl,
     write_volume,
 )
+from vialight.system import shared_folder
 from vialight.web.reference import ViewGrid, reference_sums
 
 RIG = Rig.model_validate(
@@ -137,14 +137,20 @@ class PretendPrint:
             "status": 10_000, "camera": 400_000, "snapshot": 2 * 4 * 3 * size * size + 10_000,
             "surface": 64 * self.pretence.vertices + 2 * 4 * 3 * size * size + 10_000,
         }  # fmt: skip
-        self._boxes = {name: Mailbox(self._folder / name, bytes_) for name, bytes_ in room.items()}
+        kinds: dict[str, Any] = {
+            "status": PrintStatus, "camera": CameraImage, "snapshot": Snapshot, "surface": SurfaceSnapshot,
+        }  # fmt: skip
+        self._boxes: dict[str, Mailbox[Any]] = {
+            name: Mailbox(self._folder / name, kinds[name], bytes_) for name, bytes_ in room.items()
+        }
+        self._panel = LightPanel(self._folder, is_new=True)
         shared = SharedVolume.make(self._folder / "volume", VOLUME_GRID, region_of(VOLUME_GRID, None))
         shared.density[...] = volume().density
         shared.tell(Moment(180, 18.0, 0.0, 0.0))
         self._frames = FrameWriter(self.run / "frames.h5", (300, 480))
         (self.run / "projector.csv").write_text("refresh_s,shown_s,due,shown\n")
-        self._control = ControlServer(self._obey)
-        LiveLink(os.getpid(), str(self._folder), self._control.address, self._control.key).publish(self.run)
+        self._control = ControlServer(self._folder, self._obey)
+        LiveLink.of_this_process(self._folder, self._control.key, self._control.port).publish(self.run)
         self._threads = [
             threading.Thread(target=self._repeat, args=(name, interval, act), daemon=True)
             for name, interval, act in (
@@ -199,6 +205,7 @@ class PretendPrint:
             case {"do": "stop"}:
                 if self.stopped_s is None:
                     self.stopped_s = self.now_s
+                    self._panel.tell_ended()
                     self.note("light off", why="order")
                     threading.Thread(target=self._end, daemon=True).start()
                 return {"state": "after"}

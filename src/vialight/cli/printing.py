@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
+from vialight.cli.running import faults_told, is_terminal, progress, show, stopped_by_interrupt, tell
 from vialight.cli.tables import kinetics_lines, print_lines, watch_lines
 
 if TYPE_CHECKING:
@@ -156,22 +155,22 @@ def kinetics_command(
 
 def say(message: str) -> None:
     """Tell a person what is done now."""
-    click.echo(message, err=True)
+    tell(message)
 
 
 def _rehearsed(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        click.echo(f"\rrehearsed in {done} of {total} resins", err=True, nl=done == total)
+    if is_terminal():
+        tell(f"\rrehearsed in {done} of {total} resins", is_line=done == total)
 
 
 def status_line() -> Callable[[PrintStatus], None]:
     """Return what shows how a print is doing: one line that changes on a terminal, else a line now and then."""
-    is_terminal = sys.stderr.isatty()
+    has_terminal = is_terminal()
     shown: dict[str, Any] = {"at": 0.0, "state": ""}
 
-    def tell(status: PrintStatus) -> None:
+    def tell_status(status: PrintStatus) -> None:
         now = time.monotonic()
-        wait_s = _SHOW_EVERY_S if is_terminal else _LINE_EVERY_S
+        wait_s = _SHOW_EVERY_S if has_terminal else _LINE_EVERY_S
         if now - shown["at"] < wait_s and status.state == shown["state"]:
             return
         shown["at"], shown["state"] = now, status.state
@@ -185,6 +184,6 @@ def status_line() -> Callable[[PrintStatus], None]:
             f"{status.state:<11}turn {status.turn:5.2f}, light {status.lit_s:5.1f} s{left}; {status.frames} frames, "
             f"{status.missed} missed" + (f"; {wrong}" if wrong else "")
         )
-        click.echo(f"\r{line[:118]:<118}" if is_terminal else line, err=True, nl=not is_terminal)
+        tell(f"\r{line[:118]:<118}" if has_terminal else line, is_line=not has_terminal)
 
-    return tell
+    return tell_status

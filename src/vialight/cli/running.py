@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import json
+import os
 import signal
 import sys
 import warnings
@@ -14,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from vialight.errors import InputError, VialightError, VialightWarning
+from vialight.system import LineWriter, StopAsked
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -43,15 +47,45 @@ def faults_told() -> Iterator[None]:
             warnings.simplefilter("always", VialightWarning)
             yield
     except VialightError as error:
-        click.echo(f"vialight: {error}", err=True)
+        tell(f"vialight: {error}")
         sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)
     except MemoryError:
-        click.echo("vialight: not enough memory; choose a larger --voxel or --bin", err=True)
+        tell("vialight: not enough memory; choose a larger --voxel or --bin")
         sys.exit(FAILED)
     finally:
         for warning in caught:
             if issubclass(warning.category, VialightWarning):
-                click.echo(f"vialight: warning: {warning.message}", err=True)
+                tell(f"vialight: warning: {warning.message}")
+        _terminal().flush()
+
+
+def tell(text: str, *, is_line: bool = True) -> None:
+    """Tell a person something; a terminal that nobody reads, or that is closed, holds up nothing and ends nothing."""
+    _terminal().put(text + "\n" if is_line else text)
+
+
+def is_terminal() -> bool:
+    """Whether a person sees what is told, as it is told."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+@functools.cache
+def _terminal() -> LineWriter:
+    writer = LineWriter(_write_to_terminal)
+    atexit.register(writer.close)
+    return writer
+
+
+def _write_to_terminal(text: str) -> None:
+    """Write past Python's own buffer, whose lock a write that is held up would keep."""
+    try:
+        descriptor = sys.stderr.fileno()
+    except (OSError, AttributeError, ValueError):  # no file, such as in a notebook
+        click.echo(text, err=True, nl=False)
+        return
+    content = text.encode(errors="replace")
+    while content:
+        content = content[os.write(descriptor, content) :]
 
 
 @contextmanager
@@ -78,16 +112,5 @@ def stopped_by_interrupt(
     message: str = "stopping after this pass with the best so far",
 ) -> Iterator[Callable[[], bool]]:
     """Yield a question that the first Ctrl-C answers with no; the second one interrupts as ever."""
-    asked_to_stop = False
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal asked_to_stop
-        asked_to_stop = True
-        click.echo(message, err=True)
-        signal.signal(signal.SIGINT, before)
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield lambda: not asked_to_stop
-    finally:
-        signal.signal(signal.SIGINT, before)
+    with StopAsked(lambda: tell(message)) as asked:
+        yield lambda: not asked

@@ -14,7 +14,6 @@ from typing import Any, get_args, get_origin
 import msgspec
 import numpy as np
 
-
 _Array = tuple[str, tuple[int, ...], bytes]
 """An array on its way: type, shape, values."""
 

@@ -23,7 +23,7 @@ from vialight.system import state_of
 
 Name = Literal["follower", "analyst"]
 _T = TypeVar("_T")
-_Work = Callable[[LiveSettings, Connection[Any, Any]], None]
+_Work = Callable[[LiveSettings, Any], None]
 
 _FINISH_TIMEOUT_S = 60.0
 _LOOK_S = 0.1

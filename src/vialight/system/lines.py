@@ -37,7 +37,8 @@ class LineWriter:
 
     def __init__(self, write: Callable[[str], object], most: int = _MOST_LINES) -> None:
         self._write = write
-        self._lines: queue.Queue[str | None] = queue.Queue(most)
+        self._lines: queue.Queue[str | threading.Event] = queue.Queue(most)
+        self._is_closing = False
         self.dropped = 0
         self._thread = threading.Thread(target=self._run, name="lines", daemon=True)
         self._thread.start()
@@ -49,26 +50,32 @@ class LineWriter:
         except queue.Full:
             self.dropped += 1
 
-    def close(self, timeout_s: float = 1.0) -> bool:
+    def flush(self, timeout_s: float = 1.0) -> bool:
         """Write what waits, as far as that can be done in time; False where it cannot."""
+        is_written = threading.Event()
         try:
-            self._lines.put(None, timeout=timeout_s)
+            self._lines.put(is_written, timeout=timeout_s)
         except queue.Full:
             return False
-        self._thread.join(timeout_s)
-        return not self._thread.is_alive()
+        return is_written.wait(timeout_s)
+
+    def close(self, timeout_s: float = 1.0) -> bool:
+        """Write what waits, as far as that can be done in time, and end; False where it cannot."""
+        self._is_closing = True
+        return self.flush(timeout_s)
 
     def _run(self) -> None:
-        is_open = True
-        while is_open:
-            lines = [self._lines.get()]
+        while not self._is_closing or not self._lines.empty():
+            waiting = [self._lines.get()]
             with contextlib.suppress(queue.Empty):
                 while True:
-                    lines.append(self._lines.get_nowait())
-            is_open = None not in lines
-            told = [line for line in lines if line is not None]
+                    waiting.append(self._lines.get_nowait())
+            lines = [line for line in waiting if isinstance(line, str)]
             try:
-                if told:
-                    self._write("".join(told))
+                if lines:
+                    self._write("".join(lines))
             except (OSError, ValueError):
-                self.dropped += len(told)
+                self.dropped += len(lines)
+            for is_written in waiting:
+                if isinstance(is_written, threading.Event):
+                    is_written.set()

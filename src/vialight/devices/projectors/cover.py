@@ -48,6 +48,7 @@ class WindowCover:
             self._window: Any = self._glfw.create_window(*size, "vialight: cover", None, None)
             _check_made(self._window, found, self._glfw)
             self._glfw.set_window_pos(self._window, *self._glfw.get_monitor_pos(handle))
+            self._glfw.set_input_mode(self._window, self._glfw.CURSOR, self._glfw.CURSOR_HIDDEN)
             if _HAS_X11:
                 leave_to_nobody(self._glfw, self._window)
                 let_server_paint(self._glfw, self._window)
