@@ -60,6 +60,30 @@ def judge(was_over: bool, is_stopped: bool, lease: Lease | None, monotonic_s: fl
     return Verdict(is_over, not is_over and has_leave and lease is not None and now_s < lease.off_at_s)
 
 
+def leave(phase: LightPhase, is_stopped: bool, is_held: bool) -> LightPhase:
+    """Return the phase of the lease that the owner of the light gives.
+
+    Parameters
+    ----------
+    phase
+        How far the light has been let.
+    is_stopped
+        Whether the stop switch is pressed.
+    is_held
+        Whether anything is wrong.
+
+    Examples
+    --------
+    >>> leave(LightPhase.LIT, False, False).name, leave(LightPhase.LIT, False, True).name
+    ('LIT', 'DARK')
+    >>> leave(LightPhase.LIT, True, False).name, leave(LightPhase.OVER, False, False).name
+    ('OVER', 'OVER')
+    """
+    if is_stopped or phase >= LightPhase.OVER:
+        return LightPhase.OVER
+    return LightPhase.DARK if is_held else phase
+
+
 class Sight(NamedTuple):
     """What the guardian sees at a look."""
 
@@ -90,7 +114,8 @@ class Vigil:
     last_s: float | None = None
     beat_s: float = 0.0
     silent_s: float = 0.0
-    unwanted_s: float = 0.0
+    unwanted_s: float | None = None
+    """None while there is no light that nobody has given leave for."""
 
     def alarm(self, sight: Sight) -> str | None:
         """Return why the light is to be covered; None while all is well."""
@@ -99,9 +124,10 @@ class Vigil:
         self.silent_s = self.silent_s + passed if sight.beat_s == self.beat_s else 0.0
         self.beat_s = sight.beat_s
         is_unwanted = sight.is_lit and (sight.is_stopped or sight.monotonic_s > sight.leave_until_s)
-        self.unwanted_s = self.unwanted_s + passed if is_unwanted else 0.0
+        before_s = 0.0 if self.unwanted_s is None else self.unwanted_s + passed
+        self.unwanted_s = before_s if is_unwanted else None
         if self.silent_s >= HUNG_S:
             return f"has given no sign of life for {HUNG_S:g} s"
-        if self.unwanted_s >= DISOBEYED_S:
+        if self.unwanted_s is not None and self.unwanted_s >= DISOBEYED_S:
             return f"has shown light without leave for {DISOBEYED_S:g} s"
         return None

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from vialight.devices import LEASE_S, DeviceError, DeviceGoneError, Devices, Lease, LightPhase
+from vialight.devices.leasing import leave
 from vialight.links import LightPanel
 from vialight.printing.log import EventLog
 from vialight.printing.track import StageFollower, StageTrack
@@ -185,14 +186,13 @@ class LightOwner:
                 is_held = self._phase == LightPhase.LIT
                 self._log.note("fault" if fault else "well", fault or "all is well again", held_light=is_held)
             self.fault = fault
-        if self._phase != LightPhase.LIT:
-            return  # it has been black since before it began, or is for good
         newest, left_s = self._track.newest(), self._rules.lit_s_to_stop() - self.lit_s
-        if fault or newest is None:
-            self._devices.projector.darken()
-        elif left_s <= _DONE_S:
+        if self._phase == LightPhase.LIT and left_s <= _DONE_S:
             self._end("done", "light off: the print has had its light")
-        else:
+        given = leave(self._phase, self._panel.is_stopped, fault is not None or newest is None)
+        if given == LightPhase.DARK:
+            self._devices.projector.darken()
+        elif given == LightPhase.LIT and newest is not None:
             sense = math.copysign(1.0, self._rules.turning_rad_s)
             off_at_s = self._devices.clock.now_s() + left_s if self._was_lit else math.inf
             self._devices.projector.renew(
