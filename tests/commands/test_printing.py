@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -22,9 +23,9 @@ from click.testing import CliRunner
 from printing.prints import BINNING, write_quick_plan
 from vialight.cli import main
 from vialight.commands import printing
-from vialight.devices.simulated.display import BLACK, read_flips
+from vialight.devices.simulated.display import BLACK, Flip, read_flips
 from vialight.feedback import StopModel
-from vialight.links import CameraImage, LiveLink, Mailbox, find_live_print
+from vialight.links import CameraImage, LiveLink, Mailbox, find_live_print, send_order
 from vialight.mesh import load_mesh
 from vialight.store import list_history, open_frames, read_json, read_series
 
@@ -110,6 +111,79 @@ def test_killed_print_is_dark_within_a_quarter_of_a_second_and_its_frames_can_be
     shown = CliRunner().invoke(main, ["reconstruct", str(run), "--threshold", "100000", "--json"])
     assert "no surface at 100000" in shown.output  # it reads the frames, of which none has so much density
     assert CliRunner().invoke(main, ["watch", str(run), "--rate", "20", "--json"]).exit_code == 0
+
+
+@contextmanager
+def begun_print(folder: Path, *options: str, **popen: Any) -> Iterator[tuple[subprocess.Popen[Any], LiveLink]]:
+    """Print the quick plan in a process of its own; hand over when the print can be reached."""
+    plan, rig = write_quick_plan(folder)
+    command = [str(Path(sys.executable).with_name("vialight")), "print", str(plan), "--rig", str(rig)]
+    command += ["--out", str(folder / "run"), "--resin-voxel", "0.4", "--bin", str(BINNING), "--rate", "4", *options]
+    process: Any = subprocess.Popen(command, stdout=subprocess.DEVNULL, **({"stderr": subprocess.DEVNULL} | popen))
+    try:
+        link = wait_for(lambda: find_live_print(folder / "run") or (process.poll() is not None and "ended"))
+        assert isinstance(link, LiveLink)
+        yield process, link
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.6, 1.5])
+@pytest.mark.parametrize("by", ["Ctrl-C", "order"])
+def test_print_that_is_stopped_before_the_first_light_is_never_lit(tmp_path: Path, after_s: float, by: str) -> None:
+    with begun_print(tmp_path, "--stop", "turns=2") as (process, link):
+        time.sleep(after_s)
+        flips = link.mailboxes / "flips"
+        if by == "order":
+            answer = send_order(link, {"do": "stop", "by": "page"})
+            assert answer["is_over"]
+            assert answer["is_dark"]
+        else:
+            process.send_signal(signal.SIGINT)
+        shown: list[Flip] = []
+        while process.poll() is None:
+            if flips.exists():
+                with contextlib.suppress(OSError):
+                    shown = read_flips(link.mailboxes)
+            time.sleep(0.02)
+        assert process.returncode == 0
+    assert [flip for flip in shown if flip.pattern != BLACK] == []
+    result = read_json(tmp_path / "run" / "run.json")
+    assert result["state"] == "done"
+    assert result["printed"]["lit_s"] == 0.0
+    assert result["printed"]["ended_by"] == ("page" if by == "order" else "operator")
+
+
+def test_ctrl_c_ends_the_light_at_once_while_nobody_reads_the_terminal(tmp_path: Path) -> None:
+    """As over a connection that has stalled: what is written to it waits for ever."""
+    ours, theirs = os.openpty()
+    os.set_blocking(theirs, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(theirs, b"x" * 1000)
+    os.set_blocking(theirs, True)
+    with begun_print(tmp_path, "--stop", "turns=30", stderr=theirs) as (process, link):
+        wait_for(lambda: any(flip.pattern != BLACK for flip in read_flips(link.mailboxes)))
+        time.sleep(1.5)
+        asked = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.5)
+        last = read_flips(link.mailboxes)[-1]
+        assert last.pattern == BLACK
+        assert last.monotonic_s - asked < 0.25
+        assert process.wait(_PATIENCE_S) == 0
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_closed_terminal_does_not_keep_a_print_from_ending_well(tmp_path: Path) -> None:
+    plan, rig = write_quick_plan(tmp_path)
+    command = f"exec '{Path(sys.executable).with_name('vialight')}' print '{plan}' --rig '{rig}' --out '{tmp_path}/run'"
+    command += f" --resin-voxel 0.4 --bin {BINNING} --rate 4 --stop turns=1 >/dev/null 2>&-"
+    assert subprocess.run(["sh", "-c", command], timeout=_PATIENCE_S, check=False).returncode == 0
+    assert read_json(tmp_path / "run" / "run.json")["state"] == "done"
 
 
 def test_print_goes_on_after_its_live_measurement_was_killed(tmp_path: Path) -> None:

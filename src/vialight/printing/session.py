@@ -34,6 +34,7 @@ _START_TIMEOUT_S = 30.0
 _READY_TIMEOUT_S = 180.0
 _SPEED_TOLERANCE = 0.02
 _DARK_TIMEOUT_S = 1.0
+_SAID_BY_S = 0.5
 
 
 def print_plan(
@@ -202,7 +203,8 @@ class _Session:
         self.note_the_end()
 
     def note_the_end(self) -> None:
-        """Write down who ended the light, and when."""
+        """Write down who ended the light, and when; whoever pressed the switch says so a moment later."""
+        wait_for(lambda: self._light.ended_by != "stop", timeout_s=_SAID_BY_S)
         by = self._ended_by()
         self._log.note("stop", f"light off after {self._light.lit_s:.1f} s ({by})", by=by,
                        forecast=None if self._forecast is None else asdict(self._forecast))  # fmt: skip
