@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import struct
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from vialight.errors import InputError
 from vialight.links import Mailbox
 from vialight.links.codec import decoder_of, encode
-from vialight.system import shared_folder
+from vialight.system import make_shared_file, shared_folder
 
 PATIENCE_S = 30.0
 
@@ -98,11 +99,25 @@ def test_mailbox_of_a_print_that_is_gone_is_told(folder: Path) -> None:
         Mailbox(folder / "none", int)
 
 
-def test_mailbox_larger_than_the_memory_that_is_free_is_refused_before_anything_is_written(folder: Path) -> None:
+def test_volume_larger_than_the_memory_that_is_free_is_refused_before_anything_is_written(folder: Path) -> None:
     free = shutil.disk_usage(folder).free
     with pytest.raises(InputError, match=r"has no room for .* MB of shared memory .*docker run --shm-size"):
-        Mailbox(folder / "box", bytes, 10 * free)
-    assert not list(folder.glob("box*"))
+        make_shared_file(folder / "volume", 10 * free)
+    assert not list(folder.glob("volume*"))
+
+
+def test_message_for_which_no_memory_is_left_is_refused_and_the_one_before_stays(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int, start: int, size: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with Mailbox(folder / "box", bytes, 10_000) as writer, Mailbox(folder / "box", bytes) as reader:
+        writer.put(b"one")
+        monkeypatch.setattr(os, "posix_fallocate", full)
+        with pytest.raises(InputError, match="has no room"):
+            writer.put(bytes(9000))
+        assert reader.newest() == (1, b"one")
 
 
 @pytest.mark.parametrize("head", [(2**63, 2**63), (1, 0), (2**64 - 1, 2**64 - 1), (7, 100)])

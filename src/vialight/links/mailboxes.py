@@ -12,11 +12,11 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Generic, Self, TypeVar
+from typing import BinaryIO, Generic, Self, TypeVar
 
 from vialight.errors import InputError
 from vialight.links.codec import decoder_of, encode
-from vialight.system import make_shared_file, map_shared_file
+from vialight.system import make_shared_file, map_shared_file, reserve
 
 _SLOTS = 3
 _HEAD = struct.Struct("<QQ")
@@ -67,8 +67,10 @@ class Mailbox(Generic[_T]):
     def __init__(self, path: str | Path, kind: type[_T], capacity: int | None = None) -> None:
         self.path = Path(path)
         self._decode: Callable[[bytes], _T] = decoder_of(kind)
+        self._file: BinaryIO | None = None
         if capacity is not None:
-            make_shared_file(self.path, _HEAD.size + _SLOTS * (_SLOT_HEAD.size + capacity))
+            make_shared_file(self.path, _HEAD.size + _SLOTS * (_SLOT_HEAD.size + capacity), _HEAD.size)
+            self._file = self.path.open("r+b")
         self._map = map_shared_file(self.path, _HEAD.size)
         if capacity is not None:
             _HEAD.pack_into(self._map, 0, 0, capacity)
@@ -76,6 +78,7 @@ class Mailbox(Generic[_T]):
         if self._capacity < 0:
             raise InputError(self.path, "is no mailbox", remedy="check that the print is running")
         self._written = 0
+        self._reserved = [0] * _SLOTS
 
     def __enter__(self) -> Self:
         return self
@@ -89,6 +92,8 @@ class Mailbox(Generic[_T]):
         """Let go of the memory; the file stays until its folder is removed."""
         with contextlib.suppress(BufferError):
             self._map.close()
+        if self._file is not None:
+            self._file.close()
 
     def put(self, message: _T) -> None:
         """Make a message the newest one.
@@ -97,12 +102,18 @@ class Mailbox(Generic[_T]):
         ------
         ValueError
             It is larger than the mailbox.
+        InputError
+            There is not so much shared memory left.
         """
+        assert self._file is not None  # readers put nothing
         content = encode(message)
         if len(content) > self._capacity:
             raise ValueError(f"message of {len(content)} bytes in a mailbox of {self._capacity}")
         number = self._written + 1
-        start = self._slot(number)
+        start, size = self._slot(number), _SLOT_HEAD.size + len(content)
+        if size > self._reserved[number % _SLOTS]:
+            reserve(self.path, self._file.fileno(), start, size)
+            self._reserved[number % _SLOTS] = size
         _SLOT_HEAD.pack_into(self._map, start, number, len(content), 0)
         self._map[start + _SLOT_HEAD.size : start + _SLOT_HEAD.size + len(content)] = content
         _SLOT_HEAD.pack_into(self._map, start, number, len(content), number)

@@ -181,6 +181,8 @@ class _Session:
         self._wait(
             lambda: self._watcher.is_ready() or self._watcher.has_ended(), "live", "is not ready", _READY_TIMEOUT_S
         )
+        if self._watcher.has_ended():
+            raise DeviceError("live measurement", self._watcher.fault() or "has ended")
 
     def expose(self) -> None:
         """Let light through until it is enough."""

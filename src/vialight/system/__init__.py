@@ -10,7 +10,7 @@
 from vialight.system.interrupts import StopAsked, leave_interrupts_to_the_print
 from vialight.system.lines import LineWriter
 from vialight.system.processes import ProcessIdentity, ProcessState, identity_of, is_same_process, state_of
-from vialight.system.shared_files import is_shared_folder, make_shared_file, map_shared_file, shared_folder
+from vialight.system.shared_files import is_shared_folder, make_shared_file, map_shared_file, reserve, shared_folder
 from vialight.system.waiting import wait_for
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "leave_interrupts_to_the_print",
     "make_shared_file",
     "map_shared_file",
+    "reserve",
     "shared_folder",
     "state_of",
     "wait_for",

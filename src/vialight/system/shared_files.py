@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import mmap
 import os
@@ -55,10 +54,19 @@ def is_shared_folder(path: str | Path, pid: int) -> bool:
     return stat.S_ISDIR(found.st_mode) and _is_private(found)
 
 
-def make_shared_file(path: Path, size: int) -> None:
+def make_shared_file(path: Path, size: int, reserved: int | None = None) -> None:
     """Make a file of zeros for processes to map; it appears whole, and its memory is set aside.
 
     Without, a small place in memory (``/dev/shm`` of a container has 64 MB) would end a process when it writes.
+
+    Parameters
+    ----------
+    path
+        Where.
+    size
+        Bytes.
+    reserved
+        Bytes that are set aside now, by default all; the rest by `reserve` before it is used.
 
     Raises
     ------
@@ -68,15 +76,30 @@ def make_shared_file(path: Path, size: int) -> None:
     fresh = path.with_name(f"{path.name}.new")
     try:
         with fresh.open("wb") as file:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, size)
-            else:
-                file.truncate(size)
+            file.truncate(size)
+            reserve(path, file.fileno(), 0, size if reserved is None else reserved)
         fresh.replace(path)
+    except InputError:
+        fresh.unlink(missing_ok=True)
+        raise
     except OSError as error:
-        with contextlib.suppress(OSError):
-            fresh.unlink(missing_ok=True)
-        free = shutil.disk_usage(path.parent).free if path.parent.is_dir() else 0
+        raise InputError(path, f"cannot be made ({error.strerror})", remedy="check the folder") from error
+
+
+def reserve(path: Path, descriptor: int, start: int, size: int) -> None:
+    """Set memory of a shared file aside; what is set aside already costs nothing.
+
+    Raises
+    ------
+    InputError
+        There is not so much.
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return  # where there is none, files in memory are files like others
+    try:
+        os.posix_fallocate(descriptor, start, size)
+    except OSError as error:
+        free = shutil.disk_usage(path.parent).free
         raise InputError(
             path.parent,
             f"has no room for {size / 1e6:.1f} MB of shared memory ({error.strerror}; {free / 1e6:.1f} MB free)",
