@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import textwrap
@@ -52,7 +51,7 @@ def opens_with(image: bytes, tables: bytes, count: int, folder: Path) -> None:
         assert frames.shape == (count, *SHAPE)
         np.testing.assert_allclose(frames.angles_rad, 0.01 * np.arange(count), atol=1e-12)
         np.testing.assert_allclose(frames.time_s, 0.1 * np.arange(count), atol=1e-12)
-        for number in np.unique(np.linspace(0, count - 1, 40).astype(int)):
+        for number in np.unique(np.linspace(0, count - 1, 12).astype(int)):
             np.testing.assert_array_equal(frames.read(slice(number, number + 1))[0], frame_of(number))
         dark = frames.dark()
         assert dark is not None
@@ -79,7 +78,7 @@ def test_whatever_pages_a_power_cut_leaves_all_frames_of_the_last_sync_are_read(
             now = path.read_bytes()
             with monkeypatch.context() as later:
                 later.setattr(durable, "_this_boot", lambda: "a later start of the machine")
-                for _ in range(12):
+                for _ in range(5):
                     image = after_a_power_cut(synced, now, random)
                     opens_with(image, tables, stated, tmp_path)
                     torn += has_torn_tables(image, synced, tables)
@@ -92,9 +91,7 @@ def has_torn_tables(image: bytes, synced: bytes, tables: bytes) -> bool:
     return any(image[at : at + length] != synced[at : at + length] for at, length in places)
 
 
-def test_a_power_cut_while_a_recording_is_closed_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_power_cut_while_a_recording_is_closed_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "frames.h5"
     kept: list[bytes] = []
     writer = FrameWriter(path, SHAPE, dark=np.full(SHAPE, 7, np.uint16), sync_every_s=None)
@@ -105,7 +102,7 @@ def test_a_power_cut_while_a_recording_is_closed_loses_nothing(
     writer.close()
     monkeypatch.setattr(durable, "_this_boot", lambda: "a later start of the machine")
     random = np.random.default_rng(0)
-    for _ in range(20):
+    for _ in range(10):
         opens_with(after_a_power_cut(synced, kept[0], random), tables, 300, tmp_path)
 
 
@@ -170,11 +167,13 @@ def test_what_does_not_fit_beside_a_recording_is_left_aside_or_refused_in_one_li
     with FrameWriter(path, SHAPE) as writer:
         append(writer, 3)
     durable.tables_beside(path).write_bytes(beside)
+    told = ""
     try:
         with open_frames(path) as frames:
             assert frames.shape[0] == 3
     except InputError as error:
-        assert "does not fit its recording" in str(error)
+        told = str(error)
+    assert not told or "does not fit its recording" in told
 
 
 def test_a_disk_that_does_not_sync_holds_up_no_frame_and_is_told(

@@ -15,7 +15,7 @@ _ASK_S, _ANSWER_S = 0.025, 0.2
 _SPEED_OVER_S = 0.12
 """Speed is that of the positions over this time: short enough to see a stall, long enough for an encoder's steps."""
 _WAIT_S = 0.3
-"""By the wall clock, after a position came, for the next one, which a frame waits for; a stage answers ten times in it."""
+"""By the wall clock, after a position came, for the next one, which a frame waits for."""
 BEYOND_S = 0.02
 """On the print's clock, before the first position and after the last: a stage that stalls is 0.4 deg behind by then."""
 
@@ -81,13 +81,18 @@ class StageTrack:
         return self.angle_at(time_s)
 
     def turned_rad(self, begin_s: float, end_s: float) -> float:
-        """Return by how much the stage turned between two times, as far as its positions tell, rad.
+        """Return by how much the stage turned between two times, rad.
 
-        Beyond the positions it is taken to have stood: who counts turns counts the rest when it is told.
+        After the last position it is taken to go on at its last speed: good enough to count turns of light, not to
+        tell a frame's angle.
         """
         with self._lock:
             times, angles = self._arrays()
-        return abs(float(np.diff(np.interp([begin_s, end_s], times, angles))[0])) if len(times) else 0.0
+        if len(times) < 2:
+            return 0.0
+        bounds = np.array([begin_s, end_s])
+        beyond = np.maximum(0.0, bounds - times[-1]) * self.speed_rad_s()
+        return abs(float(np.diff(np.interp(bounds, times, angles) + beyond)[0]))
 
     def speed_rad_s(self) -> float:
         """Return the speed over the last tenth of a second; NaN before there are two positions."""

@@ -189,7 +189,8 @@ class _Patched(io.RawIOBase):
     """A recording as HDF5 shall see it: frames from the file itself, all else as it was at the last sync."""
 
     def __init__(self, path: Path, size: int, places: list[Extent], pieces: bytes) -> None:
-        if size > path.stat().st_size or sum(length for _, length in places) != len(pieces):
+        # The file may be shorter: what a recording reserved and did not need is cut off when it is closed.
+        if size > path.stat().st_size + len(pieces) or sum(length for _, length in places) != len(pieces):
             raise ValueError("lengths do not agree")
         self._size, self._at = size, 0
         self._places: list[tuple[int, bytes]] = []
@@ -224,7 +225,7 @@ class _Patched(io.RawIOBase):
             return 0
         self._file.seek(begin)
         found = self._file.read(stop - begin)
-        view[: len(found)] = found
+        view[: stop - begin] = found.ljust(stop - begin, b"\0")
         for offset, piece in self._places:
             first, last = max(begin, offset), min(stop, offset + len(piece))
             if first < last:

@@ -396,7 +396,12 @@ def write_frames(
     with (
         staged_file(path) as unfinished,
         FrameWriter(
-            unfinished, shape, dtype=counts.dtype, dark=dark, settings=settings, with_time=time_s is not None,
+            unfinished,
+            shape,
+            dtype=counts.dtype,
+            dark=dark,
+            settings=settings,
+            with_time=time_s is not None,
             sync_every_s=None,
         ) as writer,
     ):

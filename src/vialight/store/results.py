@@ -65,12 +65,11 @@ def write_json(path: str | Path, results: Mapping[str, Any], *, durable: bool = 
         The file cannot be written.
     """
     text = to_json(results) + "\n"
-    with staged_file(path) as unfinished:
-        with unfinished.open("w", encoding="utf-8") as file:
-            file.write(text)
-            if durable:
-                file.flush()
-                sync_descriptor(file.fileno())
+    with staged_file(path) as unfinished, unfinished.open("w", encoding="utf-8") as file:
+        file.write(text)
+        if durable:
+            file.flush()
+            sync_descriptor(file.fileno())
     if durable:
         sync_folder(Path(path).resolve().parent)
 
