@@ -144,7 +144,7 @@ class SlowWriter(FrameWriter):
         super().append(*given)
 
 
-def motion(time_s: np.ndarray | float) -> np.ndarray | float:
+def motion(time_s: Any) -> Any:
     """A stage that does not turn evenly; its acceleration is at most 4 rad/s2."""
     return 0.5 * np.asarray(time_s) + 0.01 * np.sin(20 * np.asarray(time_s))
 

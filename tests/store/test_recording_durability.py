@@ -50,6 +50,7 @@ def opens_with(image: bytes, tables: bytes, count: int, folder: Path) -> None:
     with open_frames(path) as frames:
         assert frames.shape == (count, *SHAPE)
         np.testing.assert_allclose(frames.angles_rad, 0.01 * np.arange(count), atol=1e-12)
+        assert frames.time_s is not None
         np.testing.assert_allclose(frames.time_s, 0.1 * np.arange(count), atol=1e-12)
         for number in np.unique(np.linspace(0, count - 1, 12).astype(int)):
             np.testing.assert_array_equal(frames.read(slice(number, number + 1))[0], frame_of(number))

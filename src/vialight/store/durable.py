@@ -249,7 +249,12 @@ def _closed(tables: bytes, size: int) -> bytes:
 
 def _lookup3(data: bytes) -> int:
     """Return Bob Jenkins' lookup3 (`hashlittle`, public domain), the checksum of HDF5's tables."""
-    a = b = c = (0xDEADBEEF + len(data)) & _MASK
+    a: int = (0xDEADBEEF + len(data)) & _MASK
+    b: int = a
+    c: int = a
+    x: int
+    y: int
+    z: int
     while len(data) > 12:
         x, y, z = struct.unpack("<III", data[:12])
         a, b, c = (a + x) & _MASK, (b + y) & _MASK, (c + z) & _MASK
