@@ -34,11 +34,24 @@ def test_angle_of_a_frame_waits_for_the_position_after_it() -> None:
     assert abs(angle - SPEED * 0.14) < SPEED * 0.01
 
 
-def test_angle_of_a_frame_does_not_wait_for_a_stage_that_is_silent() -> None:
+def test_angle_of_a_frame_does_not_wait_for_a_stage_that_has_been_silent_and_is_not_made_up() -> None:
     track = StageTrack()
     assert np.isnan(track.settled_angle_at(1.0))
     for k in range(3):
         track.add(StagePosition(SPEED * 0.1 * k, 0.1 * k))
+    time.sleep(0.35)
     begin = time.monotonic()
-    assert track.settled_angle_at(5.0) == track.angle_at(5.0)
-    assert time.monotonic() - begin < 0.09
+    for _ in range(100):
+        assert np.isnan(track.settled_angle_at(5.0))
+    assert time.monotonic() - begin < 0.2
+
+
+def test_no_angle_is_told_beyond_the_positions_but_for_a_short_span() -> None:
+    track = StageTrack()
+    for k in range(1000):
+        track.add(StagePosition(SPEED * 0.025 * k, 0.025 * k))
+    last_s = 0.025 * 999
+    assert track.angle_at(last_s + 0.019) == pytest.approx(SPEED * (last_s + 0.019))
+    assert np.isnan(track.angle_at(last_s + 0.021))
+    assert np.isnan(track.angle_at(1.0))  # its positions are kept no longer
+    assert track.turned_rad(last_s - 0.1, last_s + 0.1) == pytest.approx(0.2 * SPEED)

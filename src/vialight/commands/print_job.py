@@ -158,7 +158,7 @@ class PrintJob:
             },
             "versions": versions(),
         }  # fmt: skip
-        write_json(run / RUN, begun)
+        write_json(run / RUN, begun, durable=True)
         return begun
 
     def doubts(self) -> list[str]:

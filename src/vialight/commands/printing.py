@@ -107,15 +107,17 @@ def print_part(
                 keep_going=keep_going, on_status=_telling_doubts(on_status, on_step), doubts=job.doubts(),
             )  # fmt: skip
         except BaseException as error:
-            write_json(run / RUN, result | {"state": "failed", "error": str(error) or type(error).__name__})
+            write_json(
+                run / RUN, result | {"state": "failed", "error": str(error) or type(error).__name__}, durable=True
+            )
             raise
         truth = printer.write_truth(run / "truth.stl")
     printed |= patterns_shown(run)
     result |= {"state": "done", "printed": printed, "truth": truth, "elapsed_s": round(time.monotonic() - started, 3)}
-    write_json(run / RUN, result)
+    write_json(run / RUN, result, durable=True)
     on_step("measuring the finished print")
     result |= _measured(run, live.tolerance_mm, 360 / job.rig.stage.speed_deg_s)
-    write_json(run / RUN, result)
+    write_json(run / RUN, result, durable=True)
     return result
 
 

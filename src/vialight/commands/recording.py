@@ -27,9 +27,9 @@ from vialight.links import CameraImage
 from vialight.printing import EventLog, Recorder, StageFollower, StageTrack
 from vialight.printing.preflight import check_exposure, check_room
 from vialight.store import FrameWriter, rig_to_toml
+from vialight.system import wait_for
 from vialight.twin import find_rig, resin_names
 
-_TICK_S = 0.02
 _START_S = 30.0
 """In which the first frame comes and the stage gets up to speed."""
 _SETTLE_S = 1.0
@@ -181,6 +181,7 @@ class _Scan:
         self._begun_rad: float | None = None
         self._turned_rad = 0.0
         log = EventLog(out.with_suffix(".log.jsonl"), self._clock)
+        stack.callback(log.close)
         rate_hz = settings.frame_rate_hz
         self._recorder = Recorder(self._camera, self._clock, rate_hz, self._track.settled_angle_at, log, self._see)
         self._camera.start(rate_hz)
@@ -226,13 +227,16 @@ class _Scan:
         missed = self._recorder.missed
         self._recorder.write_to(FrameWriter(self._out, self._camera.image_shape, dark=darks, settings=known))
         begun, to_turn = time.monotonic(), self._settings.turns * TURN_RAD
-        fault = None
-        while self._keep_going() and fault is None and self._turned_rad < to_turn:
-            time.sleep(_TICK_S)
-            fault = self._fault()
-            progress(self._recorder.written, self._expected())
+        expected_s = self._settings.turns * TURN_RAD / self._speed
+        fault = wait_for(
+            lambda: self._turned_rad >= to_turn or not self._keep_going(), self._fault, 2 * expected_s + _START_S,
+            tick=lambda: progress(self._recorder.written, self._expected()),
+        )  # fmt: skip
         frames = self._recorder.written
-        self._recorder.write_to(None)
+        try:
+            frames = self._recorder.write_to(None)
+        except DeviceError as error:
+            fault = fault or str(error)
         if fault is not None:
             raise DeviceError("recording", f"has ended early: {fault}", self._kept(frames))
         if frames == 0:
@@ -276,11 +280,10 @@ class _Scan:
         return f"camera: silent for {silent_s:.0f} s" if silent_s > _GIVE_UP_S else None
 
     def _wait(self, until: Callable[[], bool], device: str, fault: str, timeout_s: float = _START_S) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not until():
-            time.sleep(_TICK_S)
-            if not self._keep_going():
-                raise DeviceError("recording", "was interrupted before its first frame", "nothing is kept")
-            told = self._follower.fault(_GIVE_UP_S)
-            if told or time.monotonic() > deadline:
-                raise DeviceError(device, told or f"{fault} within {timeout_s:.0f} s")
+        told = wait_for(
+            lambda: until() or not self._keep_going(), lambda: self._follower.fault(_GIVE_UP_S), timeout_s
+        )  # fmt: skip
+        if not self._keep_going():
+            raise DeviceError("recording", "was interrupted before its first frame", "nothing is kept")
+        if told is not None:
+            raise DeviceError(device, f"{fault} within {timeout_s:.0f} s" if told.startswith("not within") else told)

@@ -15,7 +15,7 @@ import numpy as np
 from vialight.arrays import TURN_RAD
 from vialight.commands.print_job import LiveOptions
 from vialight.config import Rig, load_rig
-from vialight.devices import SimulatedClock
+from vialight.devices import DeviceError, SimulatedClock
 from vialight.devices.replay import ReplayCamera, ReplayStage
 from vialight.errors import InputError
 from vialight.links import CameraImage, LiveLink, Mailbox, PrintStatus, Snapshot, SurfaceSnapshot
@@ -24,11 +24,15 @@ from vialight.mesh import load_mesh
 from vialight.printing import EventLog, Recorder
 from vialight.sinogram import frames_a_turn
 from vialight.store import FrameWriter, open_frames
-from vialight.system import shared_folder
+from vialight.system import shared_folder, wait_for
 from vialight.viewing import columns_and_directions
 from vialight.web import PageProcess
 
 _TICK_S = 0.02
+_START_S = 30.0
+"""In which the first frame is on the disk."""
+_READY_S = 180.0
+"""In which the live measurement is ready, and in which it has seen the last frame."""
 _TAKEN_ALONG = ("rig.toml", "reference.stl", "plan.h5", "run.json", "projector.csv", "log.jsonl")
 
 
@@ -73,6 +77,8 @@ def watch_run(
     ------
     InputError
         The run cannot be read, or `out` holds something already.
+    DeviceError
+        The disk refuses what is recorded anew, or a process that measures has ended.
     """
     run = Path(run)
     rig = load_rig(run / "rig.toml")
@@ -116,9 +122,8 @@ class _Replay:
         self._snapshot_box: Mailbox[Snapshot] | None = None
         self._boxes = boxes
         rate_hz = (camera.count - 1) / max(float(np.ptp(camera.times_s)), 1e-9) if camera.count > 1 else 10.0
-        self._recorder = Recorder(
-            camera, clock, rate_hz, self._stage.angle_at, EventLog(folder / "replay.jsonl", clock), self._show_frame
-        )
+        self._log = EventLog(folder / "replay.jsonl", clock)
+        self._recorder = Recorder(camera, clock, rate_hz, self._stage.angle_at, self._log, self._show_frame)
         with open_frames(run / "frames.h5") as frames:
             dark = frames.dark()
         self._writer = FrameWriter(
@@ -128,6 +133,7 @@ class _Replay:
         self._arrived_s: dict[int, float] = {}
         self._latencies: list[float] = []
         self._seen = self._number = 0
+        self._told_at = 0.0
         self._last: SurfaceSnapshot | None = None
         self._skipped = self._surfaces = 0
 
@@ -137,6 +143,7 @@ class _Replay:
     def __exit__(self, *ended: object) -> None:
         self._recorder.close()
         self._watcher.close()
+        self._log.close()
         LiveLink.withdraw(self._folder)
 
     def play(self, keep_going: Callable[[], bool], on_status: Callable[[PrintStatus], None]) -> None:
@@ -144,22 +151,52 @@ class _Replay:
         self._recorder.write_to(self._writer)
         self._camera.start(0.0)
         self._recorder.start()
-        while keep_going() and self._recorder.written == 0:
-            time.sleep(_TICK_S)
+        if not self._comes(keep_going, lambda: self._recorder.written > 0, "its first frame", _START_S):
+            return
         self._watcher.start()
-        while keep_going() and not self._watcher.is_ready() and not self._watcher.has_ended():
-            time.sleep(_TICK_S)
+        if not self._comes(keep_going, self._watcher.is_ready, "the live measurement", _READY_S):
+            return
         self._clock.allow_until(float("inf"))
-        status_at = 0.0
-        while keep_going() and not (self._camera.is_over and self._seen >= self._recorder.written):
-            time.sleep(_TICK_S / 4)
+
+        def look() -> None:
             self._look()
-            if time.monotonic() - status_at > 10 * _TICK_S:
-                status_at = time.monotonic()
+            if time.monotonic() - self._told_at > 10 * _TICK_S:
+                self._told_at = time.monotonic()
                 on_status(self._publish())
+
+        lasts_s = (float(np.ptp(self._camera.times_s)) + 1) / self._clock.rate
+        self._comes(keep_going, lambda: self._camera.is_over, "the last frame", 2 * lasts_s + _READY_S, look)
+        self._comes(keep_going, self._has_caught_up, "the last snapshot", _READY_S, look)
         if (surfaces := self._boxes / "surface").exists():
             with Mailbox(surfaces, SurfaceSnapshot) as box:
                 self._surfaces, self._last = box.newest() or (0, None)
+
+    def _has_caught_up(self) -> bool:
+        # Frames that were refused or lost never come to be seen, and all others are in the file before they are.
+        taken = self._recorder.written + self._recorder.refused + self._recorder.lost
+        return taken >= self._camera.count and self._seen >= self._recorder.written
+
+    def _comes(
+        self, keep_going: Callable[[], bool], condition: Callable[[], bool], what: str, timeout_s: float,
+        look: Callable[[], None] = lambda: None,
+    ) -> bool:  # fmt: skip
+        """Wait for something; say whether to go on.
+
+        Raises
+        ------
+        DeviceError
+            It does not come, since the disk refuses or a process has ended, or within the time.
+        """
+
+        def fault() -> str | None:
+            if told := self._recorder.disk_fault():
+                return f"disk: {told}"
+            return self._watcher.fault() if self._watcher.has_ended() else None
+
+        told = wait_for(lambda: condition() or not keep_going(), fault, timeout_s, tick=look, every_s=_TICK_S / 4)
+        if told is not None:
+            raise DeviceError("replay", f"{what} does not come: {told}", f"{self._recorder.written} frames were seen")
+        return keep_going()
 
     def _look(self) -> None:
         if self._snapshot_box is None:

@@ -165,6 +165,8 @@ class ProjectorProcess:
         """Return what is on the screen now."""
         for name, process in self.processes.items():
             if not process.is_alive():
+                if name == "projector":
+                    self._panel.tell_ended()
                 raise DeviceGoneError("projector", self._why_ended(name))
         if (silent_s := self._panel.age_s("guardian")) > _GUARDIAN_SILENT_S:
             raise DeviceError("projector", f"its guardian has given no sign of life for {silent_s:.2f} s")

@@ -219,7 +219,6 @@ class LightOwner:
         except DeviceError as error:
             health["projector"] = str(error)
             if isinstance(error, DeviceGoneError):
-                self._panel.tell_ended()
                 self._end("fault", f"given up: {error}")
         for name, check in self._rules.checks.items():
             if told := check():
@@ -248,7 +247,7 @@ class LightOwner:
         end = now if is_lit else shown.since_s
         if (is_lit or self._was_lit) and end > begin:
             self.lit_s += end - begin
-            self.lit_rad += abs(self._track.angle_at(end) - self._track.angle_at(begin))
+            self.lit_rad += self._track.turned_rad(begin, end)
         if is_lit != self._was_lit:
             self._log.note("light", pattern=self.pattern, on=is_lit, lit_s=round(self.lit_s, 3))
         self._was_lit, self._counted_until_s = is_lit, now

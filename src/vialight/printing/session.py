@@ -35,6 +35,8 @@ _READY_TIMEOUT_S = 180.0
 _SPEED_TOLERANCE = 0.02
 _DARK_TIMEOUT_S = 1.0
 _SAID_BY_S = 0.5
+_SYNC_S = 5.0
+"""That a phase waits for the disk: the light itself waits for none."""
 
 
 def print_plan(
@@ -234,6 +236,7 @@ class _Session:
         if self._state != "failed":
             self._enter("finishing", "the print is over")
         self._publish()
+        self._log.close()
 
     def record(self) -> dict[str, Any]:
         """Return what is known of the print."""
@@ -303,6 +306,9 @@ class _Session:
         self._camera_box.put(image)
 
     def _enter(self, state: str, message: str) -> None:
+        """Begin a phase, once all frames of the one before are on the disk for certain, or cannot be."""
+        if (fault := self._recorder.sync(_SYNC_S)) is not None:
+            self._log.note("fault", f"frames are not on the disk for certain: {fault}")
         self._state = state
         self._log.note("state", message, state=state)
         self._publish()

@@ -14,10 +14,10 @@ _KEPT = 400
 _ASK_S, _ANSWER_S = 0.025, 0.2
 _SPEED_OVER_S = 0.12
 """Speed is that of the positions over this time: short enough to see a stall, long enough for an encoder's steps."""
-_WAIT_S = 0.1
-"""By the wall clock, for a position newer than a frame."""
-_SILENT_S = 0.5
-"""After which none is waited for."""
+_WAIT_S = 0.3
+"""By the wall clock, after a position came, for the next one, which a frame waits for."""
+BEYOND_S = 0.02
+"""On the print's clock, before the first position and after the last: a stage that stalls is 0.4 deg behind by then."""
 
 
 class StageTrack:
@@ -28,12 +28,13 @@ class StageTrack:
     >>> track = StageTrack()
     >>> for k in range(5):
     ...     track.add(StagePosition(0.1 * k, 0.1 * k))
-    >>> round(track.angle_at(0.25), 3), round(track.angle_at(0.6), 3), round(track.speed_rad_s(), 3)
-    (0.25, 0.6, 1.0)
+    >>> round(track.angle_at(0.25), 3), track.angle_at(0.6), round(track.speed_rad_s(), 3)
+    (0.25, nan, 1.0)
     """
 
     def __init__(self) -> None:
         self._positions: deque[StagePosition] = deque(maxlen=_KEPT)
+        self._came_s = float("-inf")
         self._lock = threading.Condition()
 
     def add(self, position: StagePosition) -> None:
@@ -41,6 +42,7 @@ class StageTrack:
         with self._lock:
             if not self._positions or position.time_s > self._positions[-1].time_s:
                 self._positions.append(position)
+                self._came_s = time.monotonic()
                 self._lock.notify_all()
 
     def newest(self) -> StagePosition | None:
@@ -49,25 +51,48 @@ class StageTrack:
             return self._positions[-1] if self._positions else None
 
     def angle_at(self, time_s: float) -> float:
-        """Return the angle at a time: between positions by a straight line, beyond them at the last speed; rad."""
-        with self._lock:
-            times, angles = self._arrays()
-        if len(times) < 2 or times[0] <= time_s <= times[-1]:
-            return float(np.interp(time_s, times, angles)) if len(times) else float("nan")
-        if time_s < times[0]:
-            return float(angles[0] + (angles[1] - angles[0]) / (times[1] - times[0]) * (time_s - times[0]))
-        return float(angles[-1] + self.speed_rad_s() * (time_s - times[-1]))
+        """Return the angle at a time: between positions by a straight line; rad.
 
-    def settled_angle_at(self, time_s: float) -> float:
-        """Return the angle at a time just past, once the stage has told a position after it; rad.
-
-        A frame comes before the stage is asked again.  Beyond the last position its angle would hang on the speed,
-        which is known the worse the more the times of positions jitter.
+        Up to `BEYOND_S` beyond them it goes on at the speed there; still further, it is not known: NaN.
         """
         with self._lock:
-            if self._positions and time_s - self._positions[-1].time_s < _SILENT_S:
-                self._lock.wait_for(lambda: self._positions[-1].time_s >= time_s, _WAIT_S)
+            times, angles = self._arrays()
+        if len(times) < 2 or not times[0] - BEYOND_S <= time_s <= times[-1] + BEYOND_S:
+            return float("nan")
+        if time_s < times[0]:
+            return float(angles[0] + (angles[1] - angles[0]) / (times[1] - times[0]) * (time_s - times[0]))
+        if time_s > times[-1]:
+            return float(angles[-1] + self.speed_rad_s() * (time_s - times[-1]))
+        return float(np.interp(time_s, times, angles))
+
+    def settled_angle_at(self, time_s: float) -> float:
+        """Return the angle at a time just past, once the stage has told a position after it; rad, or NaN.
+
+        A frame comes before the stage is asked again.  Beyond the last position its angle would hang on the speed,
+        which is known the worse the more the times of positions jitter.  A stage that has been silent for a while is
+        not waited for.
+        """
+        with self._lock:
+            while self._positions and self._positions[-1].time_s < time_s:
+                left_s = self._came_s + _WAIT_S - time.monotonic()
+                if left_s <= 0:
+                    break
+                self._lock.wait(left_s)
         return self.angle_at(time_s)
+
+    def turned_rad(self, begin_s: float, end_s: float) -> float:
+        """Return by how much the stage turned between two times, rad.
+
+        After the last position it is taken to go on at its last speed: good enough to count turns of light, not to
+        tell a frame's angle.
+        """
+        with self._lock:
+            times, angles = self._arrays()
+        if len(times) < 2:
+            return 0.0
+        bounds = np.array([begin_s, end_s])
+        beyond = np.maximum(0.0, bounds - times[-1]) * self.speed_rad_s()
+        return abs(float(np.diff(np.interp(bounds, times, angles) + beyond)[0]))
 
     def speed_rad_s(self) -> float:
         """Return the speed over the last tenth of a second; NaN before there are two positions."""

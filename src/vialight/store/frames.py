@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from vialight.arrays import BoolArray, FloatArray, IntArray
 from vialight.errors import InputError
+from vialight.store.durable import is_from_before_a_start, open_torn
 
 _ANGLE_UNITS = {"deg": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180, "°": np.pi / 180}
 _ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
@@ -218,6 +219,9 @@ def open_hdf5(path: Path) -> tuple[Any, bool]:
     import h5py
 
     wanted = "an HDF5 file in the Data Exchange layout"
+    if is_from_before_a_start(path):
+        with suppress(OSError):
+            return open_torn(path), True
     try:
         try:
             return h5py.File(path, "r"), False
@@ -231,6 +235,8 @@ def open_hdf5(path: Path) -> tuple[Any, bool]:
     except IsADirectoryError as error:
         raise InputError(path, "is a folder", accepted=wanted, remedy="name the file in it") from error
     except OSError as error:
+        with suppress(OSError):
+            return open_torn(path), True
         text = str(error)
         if "truncated" in text:
             raise _damaged(path, error) from error

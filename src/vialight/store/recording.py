@@ -5,10 +5,15 @@ h5py and hdf5plugin are imported when a file is created.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
 import shutil
+import sys
+import tempfile
+import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -18,10 +23,24 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from vialight.errors import InputError
+from vialight.store.durable import (
+    end_of_hdf5,
+    forget_tables,
+    read_tables,
+    sync_descriptor,
+    write_tables,
+)
 from vialight.store.folders import disk_full, is_disk_full, staged_file, unwritable
+from vialight.system import wait_for
 
+SYNC_S = 1.0
+"""Between two syncs of a recording to the disk; a power cut may lose what came in this time."""
 _RESERVE_BYTES = 1 << 20
-"""Room kept free for the file's own tables: HDF5 that meets a full disk can bring the process down."""
+"""Room for the file's own tables, reserved with that of two frames: HDF5 must never be refused a write."""
+_BUSY_SHARE = 0.05
+"""Of the time, for which copying tables may hold up frames; a recording of many hours is synced less often."""
+_CLOSE_S = 10.0
+"""For the last sync, after which a recording is closed without."""
 
 
 class FrameWriter:
@@ -41,11 +60,15 @@ class FrameWriter:
         Written to the attribute `settings` of `/process`, as JSON.
     with_time
         Whether frames carry a time.
+    sync_every_s
+        Between two syncs to the disk, on a thread of their own; None for none but those that are asked for.
 
     Attributes
     ----------
     count : int
-        Frames that are safely in the file.
+        Frames that are in the file: readers see them, and no crash of this process loses them.
+    durable_frames : int
+        Frames that are on the disk: no power cut loses them.
 
     Raises
     ------
@@ -58,19 +81,20 @@ class FrameWriter:
     >>> path = Path(tempfile.mkdtemp()) / "frames.h5"
     >>> with FrameWriter(path, (2, 3), settings={"exposure_s": 0.02}) as writer:
     ...     writer.append(np.zeros((2, 3), np.uint16), angle_rad=0.0, time_s=0.0)
-    ...     writer.count
-    1
+    ...     writer.count, writer.sync(), writer.durable_frames
+    (1, None, 1)
     """
 
     def __init__(
         self, path: str | Path, image_shape: tuple[int, int], *, dtype: DTypeLike = np.uint16,
         dark: ArrayLike | None = None, settings: Mapping[str, object] | None = None, with_time: bool = True,
+        sync_every_s: float | None = SYNC_S,
     ) -> None:  # fmt: skip
         import h5py
         import hdf5plugin
 
         self.path = Path(path)
-        self.count = 0
+        self.count = self.durable_frames = 0
         self._image_shape = tuple(image_shape)
         self._dtype = np.dtype(dtype)
         if self._dtype.kind != "u":
@@ -80,15 +104,29 @@ class FrameWriter:
             raise InputError(self.path, "exists already", accepted="a new name", remedy="move it out of the way")
         text = json.dumps(dict(settings or {}), allow_nan=False)
         blosc = hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.SHUFFLE)
+        self._lock = threading.Lock()
+        """Held by whoever uses HDF5; never while the disk is waited for."""
+        self._sync_every_s = sync_every_s
+        self._sync_fault: str | None = None
+        self._synced_at = time.monotonic()
+        self._thread: threading.Thread | None = None
+        self._wake = threading.Event()
+        self._is_closed = self._is_given_up = False
+        self._reserved = 0
         try:
             self._file: Any = h5py.File(self.path, "x", libver="latest")
         except OSError as error:
             raise unwritable(self.path, error) from error
+        self._descriptor = os.open(self.path, os.O_RDWR)
         try:
+            self._reserve(0 if stills is None else stills.nbytes)
             self._lay_out(stills, text, blosc, with_time=with_time)
-        except BaseException:
-            self._file.close()
+        except BaseException as error:
+            self._give_up()
+            self.close()
             self.path.unlink()
+            if isinstance(error, OSError | RuntimeError):
+                raise self._refused(error, "nothing was recorded") from error
             raise
 
     def _lay_out(
@@ -103,8 +141,7 @@ class FrameWriter:
         self._data.attrs["axes"] = "theta:y:x"
         self._theta = self._create_series(group, "theta", "deg")
         self._time = self._create_series(group, "time", "s") if with_time else None
-        if stills is not None:
-            group.create_dataset("data_dark", data=stills, **images)
+        self._dark = None if stills is None else group.create_dataset("data_dark", data=stills, **images)
         self._file.swmr_mode = True  # from here on nothing can be added but frames
 
     @staticmethod
@@ -121,16 +158,56 @@ class FrameWriter:
     ) -> None:
         self.close()
 
+    @property
+    def unsynced_s(self) -> float:
+        """For how long there have been frames that are not on the disk for certain."""
+        return time.monotonic() - self._synced_at if self.count > self.durable_frames else 0.0
+
+    def sync(self, timeout_s: float = _CLOSE_S) -> str | None:
+        """Wait until the frames that are in the file now are on the disk; say why they are not.
+
+        Parameters
+        ----------
+        timeout_s
+            After which it is given up; the disk goes on.
+
+        Returns
+        -------
+        str or None
+            What is wrong; None where no power cut can lose them.
+        """
+        wanted = self.count
+        if self.durable_frames >= wanted:
+            return None
+        if self._is_closed or self._is_given_up:
+            return "the file is closed"
+        self._sync_fault = None
+        self._start_thread()
+        self._wake.set()
+        return wait_for(lambda: self.durable_frames >= wanted, lambda: self._sync_fault, timeout_s, every_s=0.002)
+
     def close(self) -> None:
-        """Close the file; what was appended stays, whatever ended the recording."""
-        if self._file:
-            for dataset in (self._theta, self._time, self._data):
-                if dataset is not None and len(dataset) > self.count:  # an append was cut short
-                    dataset.resize(self.count, axis=0)
-            self._file.close()
+        """Close the file; what was appended stays, whatever ended the recording.
+
+        A disk that does not take it within some seconds is waited for no longer.
+        """
+        if self._is_closed:
+            return
+        if self._thread is not None:
+            self.sync(_CLOSE_S)
+        with self._lock:
+            self._is_closed = True
+            self._close_hdf5()
+        if self._thread is None:
+            os.close(self._descriptor)
+        else:
+            self._wake.set()
+            self._thread.join(_CLOSE_S)
 
     def append(self, frame: NDArray[Any], angle_rad: float, time_s: float | None = None) -> None:
-        """Add a frame; when this returns, readers see it and a crash does not lose it.
+        """Add a frame; when this returns, readers see it and a crash of this process does not lose it.
+
+        A power cut does not lose it once `durable_frames` counts it, about a second later.
 
         Parameters
         ----------
@@ -153,26 +230,117 @@ class FrameWriter:
             raise InputError("angle_rad", f"is {angle_rad}", accepted="a finite angle")
         if (time_s is None) is not (self._time is None):
             raise InputError("time_s", f"is {time_s}", accepted="a time for every frame, or for none")
-        kept = f"{self.count} frames are safe"
         try:
             self._append(frame, angle_rad, time_s)
         except (OSError, RuntimeError) as error:
-            raise (disk_full(self.path, kept) if is_disk_full(error) else unwritable(self.path, error)) from error
+            raise self._refused(error, f"{self.count} frames are safe") from error
+        if self._sync_every_s is not None:
+            self._start_thread()
+
+    def _refused(self, error: Exception, kept: str) -> InputError:
+        return disk_full(self.path, kept) if is_disk_full(error) else unwritable(self.path, error)
 
     def _append(self, frame: NDArray[Any], angle_rad: float, time_s: float | None) -> None:
-        if shutil.disk_usage(self.path.parent).free < 2 * frame.nbytes + _RESERVE_BYTES:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        # Angle and time first: a reader counts frames by `data`, and finds the others at least as long.
-        self._extend(self._theta, np.rad2deg(angle_rad))
-        if self._time is not None:
-            self._extend(self._time, time_s)
-        self._extend(self._data, frame)
-        self.count += 1
+        with self._lock:
+            if self._is_given_up:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            self._reserve(2 * frame.nbytes)
+            if self.count == self.durable_frames:
+                self._synced_at = time.monotonic()
+            try:
+                # Angle and time first: a reader counts frames by `data`, and finds the others at least as long.
+                self._extend(self._theta, np.rad2deg(angle_rad))
+                if self._time is not None:
+                    self._extend(self._time, time_s)
+                self._extend(self._data, frame)
+            except (OSError, RuntimeError):
+                self._give_up()
+                raise
+            self.count += 1
 
     def _extend(self, dataset: Any, value: Any) -> None:
         dataset.resize(self.count + 1, axis=0)
         dataset[self.count] = value
         dataset.flush()
+
+    def _reserve(self, length: int) -> None:
+        """Take room on the disk before HDF5 needs it, so that whatever limits files is met here."""
+        needed = length + _RESERVE_BYTES
+        end = int(self._file.id.get_filesize()) + needed
+        if end <= self._reserved:
+            return
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(self._descriptor, 0, end + needed)
+        elif shutil.disk_usage(self.path.parent).free < 2 * needed:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._reserved = end + needed
+
+    def _give_up(self) -> None:
+        """Let HDF5 write to nowhere from now on.
+
+        A file that refuses a write refuses the next one, too, and HDF5 that cannot write what it still holds brings
+        the process down when it ends.  What is in the file stays as it is.
+        """
+        self._is_given_up = True
+        if sys.platform != "win32":
+            with tempfile.TemporaryFile(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as nowhere:
+                os.dup2(nowhere.fileno(), self._file.id.get_vfd_handle())
+
+    def _close_hdf5(self) -> None:
+        if self._is_given_up:
+            with contextlib.suppress(OSError, RuntimeError):
+                self._file.close()
+            return
+        for dataset in (self._theta, self._time, self._data):
+            if dataset is not None and len(dataset) > self.count:  # an append was cut short
+                dataset.resize(self.count, axis=0)
+        self._file.close()
+        os.ftruncate(self._descriptor, end_of_hdf5(self._descriptor))
+
+    def _start_thread(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._keep_synced, name="sync", daemon=True)
+            self._thread.start()
+
+    def _keep_synced(self) -> None:
+        pause_s = self._sync_every_s
+        while not self._is_closed:
+            self._wake.wait(pause_s)
+            self._wake.clear()
+            if self.count > self.durable_frames:
+                pause_s = self._sync_once()
+        try:
+            if not self._is_given_up:
+                sync_descriptor(self._descriptor)
+                self.durable_frames = self.count
+                forget_tables(self.path)
+        except OSError as error:
+            self._sync_fault = str(self._refused(error, f"{self.durable_frames} frames are safe"))
+        finally:
+            os.close(self._descriptor)
+
+    def _sync_once(self) -> float | None:
+        """Put what is in the file on the disk; return how long to wait until the next time, s."""
+        try:
+            with self._lock:
+                if self._is_closed or self._is_given_up:
+                    self._sync_fault = "the file is closed"
+                    return self._sync_every_s
+                begun, count = time.monotonic(), self.count
+                extents: list[tuple[int, int]] = []
+                for images in (self._data, self._dark):
+                    if images is not None:
+                        images.id.chunk_iter(lambda chunk: extents.append((chunk.byte_offset, chunk.size)))
+                size = min(int(self._file.id.get_filesize()), os.fstat(self._descriptor).st_size)
+                places, pieces = read_tables(self._descriptor, extents, size)
+                held_s = time.monotonic() - begun
+            sync_descriptor(self._descriptor)
+            write_tables(self.path, count, size, places, pieces)
+        except (OSError, RuntimeError) as error:
+            self._sync_fault = str(self._refused(error, f"{self.durable_frames} frames are safe"))
+            return self._sync_every_s
+        self.durable_frames, self._synced_at = count, time.monotonic()
+        return None if self._sync_every_s is None else max(self._sync_every_s, held_s / _BUSY_SHARE)
 
     def _checked(self, images: NDArray[Any], name: str) -> NDArray[Any]:
         if images.shape[-2:] != self._image_shape or images.dtype != self._dtype:
@@ -228,7 +396,13 @@ def write_frames(
     with (
         staged_file(path) as unfinished,
         FrameWriter(
-            unfinished, shape, dtype=counts.dtype, dark=dark, settings=settings, with_time=time_s is not None
+            unfinished,
+            shape,
+            dtype=counts.dtype,
+            dark=dark,
+            settings=settings,
+            with_time=time_s is not None,
+            sync_every_s=None,
         ) as writer,
     ):
         for index, frame in enumerate(counts):

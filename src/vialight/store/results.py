@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vialight.errors import InputError
+from vialight.store.durable import sync_descriptor, sync_folder
 from vialight.store.folders import staged_file
 
 
@@ -46,8 +47,17 @@ def to_json(results: Mapping[str, Any]) -> str:
     return json.dumps(_plain(results), indent=2, allow_nan=False, ensure_ascii=False)
 
 
-def write_json(path: str | Path, results: Mapping[str, Any]) -> None:
+def write_json(path: str | Path, results: Mapping[str, Any], *, durable: bool = False) -> None:
     """Write results as `to_json` gives them, with a last newline; the file appears whole, or not at all.
+
+    Parameters
+    ----------
+    path
+        The file to make.
+    results
+        As for `to_json`.
+    durable
+        Return when it is on the disk, so that no power cut loses it.
 
     Raises
     ------
@@ -55,8 +65,13 @@ def write_json(path: str | Path, results: Mapping[str, Any]) -> None:
         The file cannot be written.
     """
     text = to_json(results) + "\n"
-    with staged_file(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+    with staged_file(path) as unfinished, unfinished.open("w", encoding="utf-8") as file:
+        file.write(text)
+        if durable:
+            file.flush()
+            sync_descriptor(file.fileno())
+    if durable:
+        sync_folder(Path(path).resolve().parent)
 
 
 def read_json(path: str | Path) -> dict[str, Any]:
