@@ -16,10 +16,19 @@ from numpy.typing import NDArray
 
 from vialight.arrays import Float32Array, FloatArray
 from vialight.errors import InputError
+from vialight.store.npy import opened_npz, read_npy
+from vialight.system import need_memory, open_plain, read_plain
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
 _AXES = ("angle", "row", "column")
+_NPY = b"\x93NUMPY"
+_MOST_BYTES = 1 << 40
+_MOST_LISTED_BYTES = 4_000_000
+_LARGE_BYTES = 250_000_000
+_MOST_PACKED = 1100
+"""Times that deflate packs what is all the same."""
+_FEWER = "take fewer or smaller images, or a machine with more memory"
 _WANTED = ".npy, .npz, a TIFF of many pages, or a folder of PNG or TIFF images"
 
 
@@ -132,30 +141,47 @@ def _read_values(path: Path, name: str | None) -> NDArray[Any]:
 
 
 def _read_array(path: Path, name: str | None) -> NDArray[Any]:
-    with path.open("rb") as file:
-        loaded = np.load(file, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return loaded
-        names = [name] if name else [key for key in loaded.files if loaded[key].ndim == 3]
-        if len(names) != 1 or names[0] not in loaded.files:
+    with open_plain(path, _MOST_BYTES) as file:
+        is_single = file.read(len(_NPY)) == _NPY
+    if is_single:
+        return read_npy(path)
+    with opened_npz(path, most_bytes=_MOST_BYTES) as held:
+        names = [name] if name else [key for key in held if len(held.shape(key)) == 3]
+        if len(names) != 1 or names[0] not in held:
             raise InputError(
-                path, f"holds the arrays {', '.join(loaded.files) or 'none'}",
+                path, f"holds the arrays {', '.join(held) or 'none'}",
                 accepted="one with three axes", remedy="save by itself the one that is meant",
             )  # fmt: skip
-        return np.asarray(loaded[names[0]])
+        return held[names[0]]
 
 
 def _read_folder(folder: Path) -> NDArray[Any]:
     files = sorted((path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES), key=_by_numbers)
     if not files:
         raise InputError(folder, "holds no images", accepted=", ".join(IMAGE_SUFFIXES), remedy="check the path")
-    return _stacked(folder, [(path.name, page) for path in files for page in _read_pages(path)])
+    pages: list[tuple[str, NDArray[Any]]] = []
+    for path in files:
+        stack = _read_pages(path)
+        need_memory(2 * len(files) * stack.nbytes, folder, f"{len(files)} images", _FEWER)
+        pages += [(path.name, page) for page in stack]
+    return _stacked(folder, pages)
 
 
 def _read_pages(path: Path) -> NDArray[Any]:
     from PIL import Image, ImageSequence
 
-    with Image.open(path) as image:
+    with open_plain(path, _MOST_BYTES) as file, Image.open(file) as image:
+        size = file.seek(0, 2)
+        count = getattr(image, "n_frames", 1)
+        stated = count * image.width * image.height
+        if stated > _LARGE_BYTES and stated > _MOST_PACKED * size:
+            raise InputError(
+                path,
+                f"states {count} pages of {image.width} x {image.height} pixels in {size} bytes",
+                accepted="images that are there",
+                remedy="export it again",
+            )
+        need_memory(2 * stated, path, f"{count} pages", _FEWER)
         pages = enumerate(ImageSequence.Iterator(image))
         return _stacked(path, [(f"page {index}", _grey(path, page)) for index, page in pages])
 
@@ -211,8 +237,12 @@ def _listed_angles(
 
 def _read_angles(path: Path) -> FloatArray:
     try:
-        loaded = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else np.loadtxt(path, ndmin=1)
-        return np.asarray(loaded, dtype=np.float64)
+        if path.suffix.lower() == ".npy":
+            return np.asarray(read_npy(path), dtype=np.float64)
+        lines = read_plain(path, _MOST_LISTED_BYTES).decode().splitlines()
+        return np.asarray(np.loadtxt(lines, ndmin=1), dtype=np.float64)
+    except InputError:
+        raise
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
             path, f"is no list of angles ({error})", accepted=".npy, or text with an angle a line"
