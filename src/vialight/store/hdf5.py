@@ -70,7 +70,9 @@ def object_in(path: Path, file: Any, name: str) -> Any:
     return found
 
 
-def dataset_in(path: Path, file: Any, name: str, *, may_be_virtual: bool = False) -> Any:
+def dataset_in(
+    path: Path, file: Any, name: str, *, may_be_virtual: bool = False, most_packed: int = _MOST_PACKED
+) -> Any:
     """Return a dataset of a file, or None where there is none, with all its data where it can be read safely.
 
     Parameters
@@ -79,6 +81,8 @@ def dataset_in(path: Path, file: Any, name: str, *, may_be_virtual: bool = False
         As for `object_in`.
     may_be_virtual
         Whether its data may lie in other files, plain ones in the folder of `path`.
+    most_packed
+        Times that it may state what is stored.
 
     Raises
     ------
@@ -99,7 +103,7 @@ def dataset_in(path: Path, file: Any, name: str, *, may_be_virtual: bool = False
             raise _elsewhere(where, "is put together from other datasets")
         stored_bytes = sum(_source_bytes(path, file, where, *source) for source in _sources(found))
     stated_bytes = math.prod(found.shape) * found.dtype.itemsize
-    if stated_bytes > max(_HARMLESS_BYTES, _MOST_PACKED * stored_bytes):
+    if stated_bytes > max(_HARMLESS_BYTES, most_packed * stored_bytes):
         raise InputError(
             where,
             f"is {found.dtype} of shape {found.shape}, {stated_bytes / 1e9:.4g} GB, of which {stored_bytes} bytes "

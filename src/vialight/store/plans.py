@@ -42,6 +42,8 @@ _ARRAYS = {
 """Kinds of number and count of axes of what is read whole."""
 _COPIES = 1.5
 """Of its arrays that reading a plan needs, some for a while only."""
+_MOST_PACKED = 260
+"""Times that blosc packs what is all the same."""
 _MOST_TEXT_BYTES = 1_000_000
 
 
@@ -137,7 +139,7 @@ def read_plan(path: str | Path) -> Plan:
 
 def _array(path: Path, file: Any, name: str, kinds: str, axes: int) -> Any:
     """Return a dataset of a plan, which states no more than is there and has as many axes as it should."""
-    found = dataset_in(path, file, name)
+    found = dataset_in(path, file, name, most_packed=_MOST_PACKED)
     if found is None:
         raise KeyError(name)
     if found.dtype.kind not in kinds or found.ndim != axes:

@@ -8,6 +8,8 @@ from vialight.errors import InputError
 
 _LEFT_BYTES = 200_000_000
 """That stay for everything else."""
+SMALL_BYTES = 50_000_000
+"""For which it is not worth asking."""
 
 
 def need_memory(needed_bytes: float, where: object, what: str, remedy: str) -> None:
@@ -33,6 +35,8 @@ def need_memory(needed_bytes: float, where: object, what: str, remedy: str) -> N
         ...
     vialight.errors.InputError: ...
     """
+    if needed_bytes <= SMALL_BYTES:
+        return
     free_bytes = psutil.virtual_memory().available
     if needed_bytes > free_bytes - _LEFT_BYTES:
         raise InputError(
