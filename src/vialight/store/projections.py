@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from vialight.arrays import Float32Array, FloatArray
 from vialight.errors import InputError
 from vialight.store.npy import opened_npz, read_npy
-from vialight.system import need_memory, open_plain, read_plain
+from vialight.system import check_plain, need_memory, open_plain, read_plain
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
@@ -26,8 +26,8 @@ _NPY = b"\x93NUMPY"
 _MOST_BYTES = 1 << 40
 _MOST_LISTED_BYTES = 4_000_000
 _LARGE_BYTES = 250_000_000
-_MOST_PACKED = 1100
-"""Times that deflate packs what is all the same."""
+_MOST_PACKED = 260
+"""Times that images are packed; patterns that are mostly black, to a hundredth."""
 _FEWER = "take fewer or smaller images, or a machine with more memory"
 _WANTED = ".npy, .npz, a TIFF of many pages, or a folder of PNG or TIFF images"
 
@@ -160,11 +160,24 @@ def _read_folder(folder: Path) -> NDArray[Any]:
     if not files:
         raise InputError(folder, "holds no images", accepted=", ".join(IMAGE_SUFFIXES), remedy="check the path")
     pages: list[tuple[str, NDArray[Any]]] = []
+    stored_bytes = sum(check_plain(path) for path in files)
     for path in files:
         stack = _read_pages(path)
-        need_memory(2 * len(files) * stack.nbytes, folder, f"{len(files)} images", _FEWER)
+        _check_stated(folder, len(files), len(files) * stack.nbytes, stored_bytes)
         pages += [(path.name, page) for page in stack]
     return _stacked(folder, pages)
+
+
+def _check_stated(path: Path, count: int, stated_bytes: int, stored_bytes: int) -> None:
+    """Refuse images that state far more than is stored, or more than fits into memory."""
+    if stated_bytes > _LARGE_BYTES and stated_bytes > _MOST_PACKED * stored_bytes:
+        raise InputError(
+            path,
+            f"states {count} images, {stated_bytes / 1e9:.4g} GB, in {stored_bytes} bytes",
+            accepted="images that are there",
+            remedy="export it again",
+        )
+    need_memory(2 * stated_bytes, path, f"a stack of {count} images", _FEWER)
 
 
 def _read_pages(path: Path) -> NDArray[Any]:
@@ -173,15 +186,7 @@ def _read_pages(path: Path) -> NDArray[Any]:
     with open_plain(path, _MOST_BYTES) as file, Image.open(file) as image:
         size = file.seek(0, 2)
         count = getattr(image, "n_frames", 1)
-        stated = count * image.width * image.height
-        if stated > _LARGE_BYTES and stated > _MOST_PACKED * size:
-            raise InputError(
-                path,
-                f"states {count} pages of {image.width} x {image.height} pixels in {size} bytes",
-                accepted="images that are there",
-                remedy="export it again",
-            )
-        need_memory(2 * stated, path, f"{count} pages", _FEWER)
+        _check_stated(path, count, count * image.width * image.height, size)
         pages = enumerate(ImageSequence.Iterator(image))
         return _stacked(path, [(f"page {index}", _grey(path, page)) for index, page in pages])
 

@@ -21,6 +21,7 @@ from vialight.system import file_in, need_memory, open_plain
 
 ARRAY = "0"
 _VALUE_BYTES = 4
+_LONGEST_EDGE = 2**16
 _MOST_SHARDS = 20_000
 _MOST_SHARD_BYTES = 1 << 40
 _MOST_PACKED = 260
@@ -93,6 +94,8 @@ def stored_image(path: Path, axes: int) -> StoredImage:
     shape, shard, chunk = (tuple(int(edge) for edge in one) for one in edges)
     if not len(shape) == len(shard) == len(chunk) or min(shape) < 0 or min(shard) < 1 or min(chunk) < 1:
         raise ValueError(f"shape {shape}, shards of {shard}, chunks of {chunk}")
+    if max(shape[-3:]) > _LONGEST_EDGE:
+        raise InputError(path, f"states {shape} voxels", accepted=f"{_LONGEST_EDGE} along an edge at most")
     return StoredImage(path, attributes, shape, shard, chunk, separator)
 
 
