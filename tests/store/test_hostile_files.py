@@ -291,9 +291,10 @@ def test_names_that_only_look_like_numbers_are_no_moments(tmp_path: Path) -> Non
 
 
 def state(**changes: Any) -> SavedState:
-    held = {"model": (5, 5, 3), "projections": (4, 5, 3), "dose": (5, 5, 3)}
-    arrays = {name: np.ones(shape, np.float32) for name, shape in held.items()}
-    return SavedState(**({"method": "osmo", "passes": 3} | arrays | changes))
+    shapes = {"model": (5, 5, 3), "projections": (4, 5, 3), "dose": (5, 5, 3)}
+    arrays = {name: np.ones(shape, np.float32) for name, shape in shapes.items()}
+    held_values: dict[str, Any] = {"method": "osmo", "passes": 3} | arrays | changes
+    return SavedState(**held_values)
 
 
 @pytest.mark.parametrize(
@@ -316,9 +317,14 @@ def test_a_state_that_would_be_computed_with_out_of_bounds_is_refused(tmp_path: 
 
 
 def test_pages_that_are_only_stated_are_refused(tmp_path: Path) -> None:
-    page = Image.new("L", (8000, 8000))
-    page.save(tmp_path / "pages.tif", save_all=True, append_images=[page] * 60, compression="tiff_lzw")
-    assert "pages.tif" in refused(read_stack, tmp_path / "pages.tif")
+    page = Image.new("L", (6000, 6000))
+    page.save(tmp_path / "pages.tif", save_all=True, append_images=[page] * 9, compression="tiff_adobe_deflate")
+    assert "states 10 images" in refused(read_stack, tmp_path / "pages.tif")
+    (tmp_path / "folder").mkdir()
+    page.save(tmp_path / "folder" / "0.png")
+    for number in range(1, 10):
+        shutil.copy(tmp_path / "folder" / "0.png", tmp_path / "folder" / f"{number}.png")
+    assert "states 10 images" in refused(read_stack, tmp_path / "folder")
 
 
 GRID = Grid((20, 6, 6), 0.1)
