@@ -59,6 +59,13 @@ def packed_zeros(
     return make
 
 
+def one_chunk_of_gigabytes(file: h5py.File, name: str) -> None:
+    data = file.create_dataset(name, (2, 4, 5), "u2", chunks=(1, 4, 5), compression="gzip")
+    packer = zlib.compressobj(9)
+    packed = [packer.compress(bytes(10_000_000)) for _ in range(400)]
+    data.id.write_direct_chunk((0, 0, 0), b"".join([*packed, packer.flush()]))
+
+
 def of_large_frames(make: Callable[[h5py.File, str], object]) -> Callable[[h5py.File, str], object]:
     def both(file: h5py.File, name: str) -> None:
         make(file, name)
@@ -74,6 +81,7 @@ def of_large_frames(make: Callable[[h5py.File, str], object]) -> Callable[[h5py.
         (in_place_of("exchange/data_dark", unwritten((2**36, 4, 5))), "data_dark: is uint16"),
         (in_place_of("exchange/data_dark", unwritten((2_000_000, 4, 5), chunks=(1, 4, 5))), "has 2000000 frames"),
         (in_place_of("exchange/data_white", unwritten((2**50, 4, 5), chunks=(1, 4, 5))), "data_white: is uint16"),
+        (in_place_of("exchange/data_dark", one_chunk_of_gigabytes), "bytes packed in a chunk of 40 bytes"),
         (in_place_of("exchange/theta", unwritten((2**29,), "f8", chunks=(1024,))), "theta: is float64 of shape"),
         (in_place_of("exchange/theta", unwritten((2**24,), "f8", chunks=(1024,))), "16777216 angles for 6 frames"),
         (in_place_of("exchange/theta", unwritten((2**60,), "f8", chunks=(1024,))), "theta: is float64 of shape"),

@@ -22,6 +22,9 @@ _HARMLESS_BYTES = 256 * 2**20
 """That a dataset may state beyond what is stored, as one does that is still to be filled."""
 _MOST_PACKED = 1100
 """Times that deflate packs what is all the same; no camera's frames come near."""
+_BOUNDED_FILTERS = {2, 3, 32001}
+"""Shuffle, checksum, blosc."""
+_LEAST_CHUNK_BYTES = 65_536
 _MOST_ATTRIBUTE_BYTES = 1_000_000
 _MOST_LISTED = 8
 _OWN_FILE = "."
@@ -119,7 +122,28 @@ def dataset_in(
             accepted=f"chunks of {_MOST_CHUNK_BYTES / 1e9:.2g} GB at most",
             remedy="rewrite it with h5repack, one frame a chunk",
         )
+    if found.chunks and _unbounded_filters(found):
+        _check_chunks(where, found, chunk_bytes)
     return found
+
+
+def _unbounded_filters(dataset: Any) -> bool:
+    """Tell whether a filter unpacks without asking how large a chunk is; blosc, which vialight uses, states it."""
+    plist = dataset.id.get_create_plist()
+    return any(plist.get_filter(index)[0] not in _BOUNDED_FILTERS for index in range(plist.get_nfilters()))
+
+
+def _check_chunks(where: str, dataset: Any, chunk_bytes: int) -> None:
+    """Refuse chunks that have more bytes packed than unpacked: what they unpack to has no bound."""
+    most_bytes = _LEAST_CHUNK_BYTES + 1.1 * chunk_bytes
+    larger = dataset.id.chunk_iter(lambda chunk: chunk.size if chunk.size > most_bytes else None)
+    if larger is not None:
+        raise InputError(
+            where,
+            f"has {larger} bytes packed in a chunk of {chunk_bytes} bytes",
+            accepted="chunks that packing makes smaller",
+            remedy="copy it again, or record again",
+        )
 
 
 def attribute(path: Path, of: Any, name: str) -> Any:
