@@ -295,9 +295,11 @@ def _check_range(where: str, what: str, values: FloatArray, most: float) -> None
     if not fits.all():
         index = int(np.argmin(fits))
         raise InputError(
-            where, f"{what} {index} is {values[index]}", accepted=f"finite {what}s, up to {most:.3g} in rad or s",
+            where,
+            f"{what} {index} is {values[index]}",
+            accepted=f"finite {what}s, up to {most:.3g} in rad or s",
             remedy=f"leave out frames whose {what} is not known",
-        )  # fmt: skip
+        )
 
 
 def _check_image_data(path: Path, data: Any) -> None:
