@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,10 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vialight.errors import InputError
+from vialight.system import check_plain, need_memory, read_plain
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".3mf")
 _STL_HEADER_BYTES = 84
 _STL_TRIANGLE_BYTES = 50
+_MOST_BYTES = 4_000_000_000
+_COPIES = 12
+"""Times its file that reading a mesh needs, some for a while only."""
+_LONGEST_REASON = 200
 
 
 @dataclass(frozen=True)
@@ -147,7 +153,8 @@ def load_mesh(path: str | Path) -> Mesh:
             accepted=", ".join(MESH_SUFFIXES), remedy="convert it",
         )  # fmt: skip
     try:
-        content = path.read_bytes()
+        need_memory(_COPIES * check_plain(path, _MOST_BYTES), path, "its mesh", "export it more coarsely")
+        content = read_plain(path, _MOST_BYTES)
     except OSError as error:
         raise InputError(
             path, f"cannot be read ({error.strerror})", accepted="a mesh file", remedy="check the path"
@@ -156,7 +163,7 @@ def load_mesh(path: str | Path) -> Mesh:
         raise InputError(path, "is empty (0 bytes)", accepted="a mesh with faces", remedy="export it again")
     if path.suffix.lower() == ".stl":
         _check_stl_is_whole(path, content)
-    vertices, faces = _parse(path)
+    vertices, faces = _parse(path, content)
     if not len(faces):
         raise InputError(path, "holds no triangles", accepted="a mesh with faces", remedy="export it again")
     try:
@@ -240,12 +247,22 @@ def _check_stl_is_whole(path: Path, content: bytes) -> None:
         )  # fmt: skip
 
 
-def _parse(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    import trimesh
-
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+def _parse(path: Path, content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    kind = path.suffix.lower()
     try:
-        loaded = trimesh.load_mesh(path, process=False)
+        if kind == ".3mf":
+            from vialight.three_mf import read_3mf
+
+            return read_3mf(io.BytesIO(content), path)
+        import trimesh
+
+        logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+        # From its content and not its path: OBJ and PLY may name other files, of materials and textures.
+        options = {"skip_materials": True} if kind == ".obj" else {}
+        loaded = trimesh.load_mesh(io.BytesIO(content), file_type=kind[1:], process=False, **options)
+        return np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces, dtype=np.int64)
+    except InputError:
+        raise
     except ModuleNotFoundError as error:
         package = str(error).rpartition("named ")[2].strip("'")
         raise InputError(
@@ -254,13 +271,9 @@ def _parse(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         ) from error  # fmt: skip
     except Exception as error:  # a parser fails in as many ways as files are broken
         raise InputError(
-            path, f"is cut short, or not a mesh ({type(error).__name__}: {error})",
+            path, f"is cut short, or not a mesh ({type(error).__name__}: {str(error)[:_LONGEST_REASON]})",
             accepted=", ".join(MESH_SUFFIXES), remedy="copy or export it again",
         ) from error  # fmt: skip
-    vertices = np.asarray(loaded.vertices, dtype=np.float64)
-    if path.suffix.lower() == ".3mf" and loaded.units:
-        vertices = vertices * trimesh.units.unit_conversion(loaded.units, "millimeters")
-    return vertices, np.asarray(loaded.faces, dtype=np.int64)
 
 
 def _uncollapsed(faces: NDArray[np.int64]) -> NDArray[np.bool_]:

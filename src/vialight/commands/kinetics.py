@@ -20,6 +20,7 @@ from vialight.mesh import Mesh, load_mesh
 from vialight.metrology import signed_distance
 from vialight.report import GelPlanes, gel_times_png, kinetics_png
 from vialight.store import open_frames, read_json, read_plan, staged_folder, write_json
+from vialight.system import file_in
 
 REHEARSAL = "rehearsal.json"
 _LEAST_MM3, _LEAST_VOXELS = 0.1, 27
@@ -72,12 +73,16 @@ def kinetics_of(
         The run cannot be read, or the place lies outside what the camera sees.
     """
     run = Path(run)
-    rig = load_rig(run / "rig.toml")
+    rig = load_rig(file_in(run, "rig.toml"))
     threshold = rig.need_threshold() if threshold is None else threshold
-    plan_path, part_path = _given_or_there(plan, run / "plan.h5"), _given_or_there(reference, run / "reference.stl")
+    plan_path, part_path = (
+        _given_or_there(plan, file_in(run, "plan.h5")),
+        _given_or_there(reference, file_in(run, "reference.stl")),
+    )
     part = None if part_path is None else load_mesh(part_path)
-    model = StopModel.from_json(read_json(run / REHEARSAL)) if (run / REHEARSAL).exists() else None
-    with open_frames(run / "frames.h5") as frames:
+    rehearsal = file_in(run, REHEARSAL)
+    model = StopModel.from_json(read_json(rehearsal)) if rehearsal.exists() else None
+    with open_frames(file_in(run, "frames.h5")) as frames:
         light = light_of(run, rig, frames, None if plan_path is None else read_plan(plan_path).patterns)
         seen = see_again(
             frames, rig, place, light.lit_at(times_of(frames, rig)), threshold, voxel_mm=voxel_mm, part=part,

@@ -26,6 +26,7 @@ from vialight.store import (
     write_volume,
 )
 from vialight.surface import isosurface, pieces
+from vialight.system import file_in, read_plain
 
 if TYPE_CHECKING:
     from vialight.arrays import Volume
@@ -38,6 +39,8 @@ VOLUME = "volume.zarr"
 PICTURES = "pictures"
 METRICS = "metrics.json"
 REPORT = "report.html"
+_MOST_PICTURES, _MOST_PICTURE_BYTES = 50, 20_000_000
+_PNG = b"\x89PNG\r\n"
 
 
 def reconstruct_recording(
@@ -219,12 +222,13 @@ def _write_pictures(folder: Path, pictures: Sequence[Picture]) -> None:
 def _surface_of(path: Path) -> Path:
     if not path.is_dir():
         return path
-    if not (path / SURFACE).is_file():
+    surface = file_in(path, SURFACE)
+    if not surface.is_file():
         raise InputError(
             path, f"has no {SURFACE}", accepted="a mesh, or the folder of a reconstruction with a threshold",
             remedy="reconstruct with --threshold",
         )  # fmt: skip
-    return path / SURFACE
+    return surface
 
 
 def _write_deviation(path: Path, comparison: Comparison) -> None:
@@ -243,10 +247,22 @@ def _write_report(path: Path, comparison: Comparison, result: dict[str, Any], pi
 
 
 def _read_pictures(folder: Path) -> list[Picture]:
-    if not (folder / RECONSTRUCTION).is_file():
+    """Return the pictures of a reconstruction, each a PNG in its folder."""
+    if not folder.is_dir() or not (path := file_in(folder, RECONSTRUCTION)).is_file():
         return []
-    pictures = read_json(folder / RECONSTRUCTION).get("pictures", [])
-    return [
-        Picture(Path(entry["file"]).stem, entry["title"], entry["caption"], (folder / entry["file"]).read_bytes())
-        for entry in pictures
-    ]
+    pictures = read_json(path).get("pictures", [])
+    if not isinstance(pictures, list) or len(pictures) > _MOST_PICTURES:
+        raise InputError(path, "its pictures are no list of a few", remedy="reconstruct again")
+    try:
+        return [_picture(folder, str(one["file"]), str(one["title"]), str(one["caption"])) for one in pictures]
+    except (KeyError, TypeError, ValueError, OSError) as error:
+        raise InputError(
+            path, f"its pictures cannot be used ({type(error).__name__}: {error})", remedy="reconstruct again"
+        ) from error
+
+
+def _picture(folder: Path, name: str, title: str, caption: str) -> Picture:
+    png = read_plain(file_in(folder, name), _MOST_PICTURE_BYTES)
+    if not png.startswith(_PNG):
+        raise ValueError(f"{name} is no PNG")
+    return Picture(Path(name).stem, title, caption, png)

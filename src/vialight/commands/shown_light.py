@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import csv
+import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vialight.arrays import FloatArray
 from vialight.config import Rig
+from vialight.errors import InputError
 from vialight.kinetics import Shown
 from vialight.plan import Patterns
 from vialight.store import FrameFile, read_json
+from vialight.system import file_in, read_plain
 
 _STEP_S = 1 / 32
 """Between patterns, where it is not logged."""
+_LONGEST_S = 1e6
+"""Of a print: eleven days."""
+_MOST_BYTES = 100_000_000
+"""Of a projector's log: a day of refreshes."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +89,11 @@ def light_of(run: Path, rig: Rig, frames: FrameFile, patterns: Patterns | None) 
     times = frames.time_s if frames.time_s is not None else np.abs(turned - turned[0]) / speed
     order = np.argsort(times)
     end_s = float(times.max())
-    log = run / "projector.csv"
+    log = file_in(run, "projector.csv")
+    if end_s - float(times.min()) > _LONGEST_S or end_s < 0:
+        raise InputError(
+            frames.path, f"has times from {times.min():.4g} s to {end_s:.4g} s", accepted="those of a print"
+        )
     if log.exists():
         source = "what the projector showed, refresh by refresh (projector.csv)"
         time_s, pattern = _logged(log)
@@ -118,10 +131,10 @@ def patterns_shown(run: Path) -> dict[str, int]:
         ``refreshes``; ``refreshes_not_due``; ``refreshes_off``, at which the pattern was due neither then nor at the
         refreshes before and after.
     """
-    log = run / "projector.csv"
-    rows = [(int(row["due"]), int(row["shown"])) for row in _rows(log)] if log.exists() else []
-    due = [one for one, _ in rows]
-    lit = [(k, shown) for k, (_, shown) in enumerate(rows) if shown >= 0]
+    log = file_in(run, "projector.csv")
+    rows = _rows(log) if log.exists() else []
+    due = [row.due for row in rows]
+    lit = [(k, row.shown) for k, row in enumerate(rows) if row.shown >= 0]
     return {
         "refreshes": len(lit),
         "refreshes_not_due": sum(shown != due[k] for k, shown in lit),
@@ -129,20 +142,53 @@ def patterns_shown(run: Path) -> dict[str, int]:
     }
 
 
+class _Refresh(NamedTuple):
+    shown_s: float | None
+    """None of one that was missed."""
+    due: int
+    shown: int
+
+
 def _logged(path: Path) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]]]:
     """Return when patterns appeared, and which."""
-    rows = [row for row in _rows(path) if row["shown_s"]]
-    return np.array([float(row["shown_s"]) for row in rows]), np.array([int(row["shown"]) for row in rows], np.int64)
+    rows = [(row.shown_s, row.shown) for row in _rows(path) if row.shown_s is not None]
+    times = np.array([at_s for at_s, _ in rows], dtype=np.float64)
+    if len(times) and not np.ptp(times) <= _LONGEST_S:  # NaN is not
+        raise InputError(
+            path, f"has times from {times.min():.4g} s to {times.max():.4g} s", accepted="those of a print"
+        )
+    return times, np.array([shown for _, shown in rows], np.int64)
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def _rows(path: Path) -> list[_Refresh]:
     """Return the refreshes, those that were missed too; a line that was cut short by a kill is left out."""
-    whole, _, _ = path.read_text(encoding="ascii").rpartition("\n")
-    return list(csv.DictReader(whole.splitlines()))
+    try:
+        whole, _, _ = read_plain(path, _MOST_BYTES).decode("ascii").rpartition("\n")
+        rows = csv.DictReader(whole.splitlines())
+        return [_refresh(row) for row in rows]
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", remedy="check the file") from error
+    except (ValueError, KeyError, TypeError, csv.Error) as error:
+        raise InputError(
+            path, f"is no log of a projector ({type(error).__name__}: {error})", accepted="refresh_s,shown_s,due,shown"
+        ) from error
+
+
+def _refresh(row: Mapping[str, str]) -> _Refresh:
+    due, shown = int(row["due"]), int(row["shown"])
+    if max(abs(due), abs(shown)) >= 2**31:
+        raise ValueError(f"a pattern {max(due, shown)}")
+    return _Refresh(float(row["shown_s"]) if row["shown_s"] else None, due, shown)
 
 
 def _known_lit_s(run: Path) -> float | None:
-    if not (run / "run.json").exists():
+    path = file_in(run, "run.json")
+    if not path.exists():
         return None
-    printed = read_json(run / "run.json").get("printed") or {}
-    return None if printed.get("lit_s") is None else float(printed["lit_s"])
+    printed = read_json(path).get("printed")
+    lit_s = printed.get("lit_s") if isinstance(printed, dict) else None
+    if lit_s is None:
+        return None
+    if not isinstance(lit_s, int | float) or not 0 <= lit_s <= _LONGEST_S:
+        raise InputError(path, f"printed.lit_s is {reprlib.repr(lit_s)}", accepted="a time in s")
+    return float(lit_s)

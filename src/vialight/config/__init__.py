@@ -7,7 +7,7 @@ what it does not need may be absent.
 from vialight.config.conditions import ThresholdConditions
 from vialight.config.instruments import CameraSettings, ProjectorSettings, StageSettings
 from vialight.config.optics import Optics
-from vialight.config.reading import changed_rig, load_rig, read_toml
+from vialight.config.reading import changed_rig, load_rig, parse_toml, read_toml
 from vialight.config.rig import (
     Calibration,
     Camera,
@@ -39,5 +39,6 @@ __all__ = [
     "Vial",
     "changed_rig",
     "load_rig",
+    "parse_toml",
     "read_toml",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from vialight.config.conditions import ThresholdConditions
 from vialight.config.fields import Direction, Distance, Finite, Index, Length, NotNegative, Table
@@ -207,7 +207,10 @@ class Rig(Table):
         known = {"led_level": None if self.camera is None else self.camera.led_level}
         known |= {} if settings is None else settings.model_dump(include={"exposure_s", "gain_db", "binning"})
         known |= {key: value for key, value in (recorded or {}).items() if key in ThresholdConditions.model_fields}
-        return ThresholdConditions.model_validate(known | {"binning": (known.get("binning") or 1) * binning})
+        try:
+            return ThresholdConditions.model_validate(known | {"binning": (known.get("binning") or 1) * binning})
+        except (TypeError, ValidationError) as error:
+            raise InputError("the recording's settings", f"cannot be used ({error})", remedy="record again") from error
 
     def threshold_under(self, actual: ThresholdConditions) -> float | None:
         """Return the gelation threshold under some conditions; None where the rig has none.

@@ -20,6 +20,8 @@ is much of a turn where it has few."""
 BLOCK_MM = 1.0
 """Places in a cube of this edge err together: between them they count as one."""
 
+_FARTHEST_MM = 1e4
+
 
 @dataclass(frozen=True)
 class Doubt:
@@ -89,6 +91,15 @@ class StopModel:
             raise InputError("stop model sensitivities", f"are {self.sensitivities}", accepted="2 or more, ascending")
         if not (np.isfinite(self.stop_s).all() and (self.stop_s > 0).all()):
             raise InputError("stop model stop_s", f"is {self.stop_s}", accepted="positive times")
+        if any(doubt.crossing_change.shape != (places,) or not np.isfinite(doubt.stop_change) for doubt in self.doubts):
+            raise InputError("stop model doubts", "do not fit its places", accepted=f"{places} changes each")
+        if self.waiting_s.ndim != 1 or not self.waiting_s.size or not np.isfinite(self.waiting_s).all():
+            raise InputError("stop model waiting_s", f"has the shape {self.waiting_s.shape}", accepted="finite times")
+        if not (np.abs(self.points_mm) <= _FARTHEST_MM).all():  # NaN is not
+            raise InputError("stop model points_mm", "are not all in a vial", accepted=f"up to {_FARTHEST_MM:g} mm")
+        for name in ("size_mm", "turn_s", "gel_share"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"stop model {name}", f"is {getattr(self, name)}", accepted="a positive number")
 
     @property
     def nominal_turns(self) -> float:
@@ -142,7 +153,7 @@ class StopModel:
                 _array(held["crossing_s"]), _array(held["stop_s"]), doubts, float(held["turn_s"]),
                 _array(held["waiting_s"]), float(held.get("gel_share", 1.0)),
             )  # fmt: skip
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError("stop model", f"cannot be used ({error})", remedy="make it again") from error
 
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+
+from vialight.errors import InputError
+from vialight.system import file_in, open_plain
+
+_MOST_BYTES = 500_000_000
+"""Of a log: weeks of refreshes."""
 
 
 class LitTime:
@@ -24,7 +31,7 @@ class LitTime:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self._path = file_in(path.parent, path.name)
         self._offset = 0
         self._rest = ""
         self._intervals: list[tuple[float, float]] = []
@@ -40,19 +47,32 @@ class LitTime:
 
     def _read_on(self) -> None:
         try:
-            with self._path.open(encoding="ascii") as file:
+            with open_plain(self._path, _MOST_BYTES) as file:
                 file.seek(self._offset)
-                text = self._rest + file.read()
+                text = self._rest + file.read().decode("ascii", errors="replace")
                 self._offset = file.tell()
         except FileNotFoundError:
             return
+        except OSError as error:
+            raise InputError(self._path, f"cannot be read ({error.strerror})", remedy="check the file") from error
         *lines, self._rest = text.split("\n")
         for line in lines:
-            _, shown_s, _, shown = line.split(",")
-            if not shown_s or shown == "shown":
+            shown = _shown(line)
+            if shown is None:
                 continue
-            if shown == "-1" and self._on_since is not None:
-                self._intervals.append((self._on_since, float(shown_s)))
+            at_s, is_lit = shown
+            if not is_lit and self._on_since is not None:
+                self._intervals.append((self._on_since, at_s))
                 self._on_since = None
-            elif shown != "-1" and self._on_since is None:
-                self._on_since = float(shown_s)
+            elif is_lit and self._on_since is None:
+                self._on_since = at_s
+
+
+def _shown(line: str) -> tuple[float, bool] | None:
+    """Return when a refresh was shown, and whether it was lit; None of one that was missed, and of what is none."""
+    try:
+        _, shown_s, _, shown = line.split(",")
+        at_s, is_lit = float(shown_s), int(shown) >= 0
+    except ValueError:
+        return None
+    return (at_s, is_lit) if math.isfinite(at_s) else None

@@ -5,7 +5,7 @@ h5py is imported when a file is opened, hdf5plugin when one needs it, so that im
 
 from __future__ import annotations
 
-import json
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,10 +19,20 @@ from numpy.typing import NDArray
 from vialight.arrays import BoolArray, FloatArray, IntArray
 from vialight.errors import InputError
 from vialight.store.durable import is_from_before_a_start, open_torn
+from vialight.store.hdf5 import attribute, dataset_in, dataset_names, object_in
+from vialight.store.results import parse_json
+from vialight.system import check_plain, need_memory
 
 _ANGLE_UNITS = {"deg": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180, "°": np.pi / 180}
 _ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 _TIME_UNITS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6}
+_MOST_FRAMES, _MOST_PIXELS = 10_000_000, 200_000_000
+"""More than a day at a hundred frames a second; more than the largest sensor has."""
+_MOST_STILLS = 10_000
+_STILL_BYTES = 64_000_000
+"""Of dark or white frames that are read at once."""
+_MOST_ANGLE_RAD, _LONGEST_S = 1e7, 1e10
+"""Two years of turning; a clock may count from 1970."""
 
 
 def open_frames(path: str | Path) -> FrameFile:
@@ -61,7 +71,7 @@ def open_frames(path: str | Path) -> FrameFile:
         return FrameFile(path, file, is_live=is_live)
     except BaseException as error:
         file.close()
-        if isinstance(error, OSError | RuntimeError | KeyError):
+        if isinstance(error, OSError | RuntimeError | KeyError | TypeError | ValueError | MemoryError):
             raise _damaged(path, error) from error
         raise
 
@@ -99,13 +109,11 @@ class FrameFile:
         self.shape: tuple[int, int, int] = data.shape
         self.dtype: np.dtype[Any] = data.dtype.newbyteorder("=")
         self.angles_rad = self._one_a_frame("theta", "angles", _ANGLE_UNITS, "degrees")
-        if not np.isfinite(self.angles_rad).all():
-            index = int(np.argmin(np.isfinite(self.angles_rad)))
-            raise InputError(
-                f"{path} /exchange/theta", f"angle {index} is {self.angles_rad[index]}",
-                accepted="finite angles", remedy="leave out frames whose angle is not known",
-            )  # fmt: skip
-        self.time_s = self._one_a_frame("time", "times", _TIME_UNITS, "seconds") if "exchange/time" in file else None
+        _check_range(f"{path} /exchange/theta", "angle", self.angles_rad, _MOST_ANGLE_RAD)
+        self.time_s = None
+        if dataset_in(path, file, "exchange/time", may_be_virtual=True) is not None:
+            self.time_s = self._one_a_frame("time", "times", _TIME_UNITS, "seconds")
+            _check_range(f"{path} /exchange/time", "time", self.time_s, _LONGEST_S)
         self._dark = self._still("data_dark")
         self._white = self._still("data_white")
         self.is_transmission = self._white is not None
@@ -145,7 +153,10 @@ class FrameFile:
             The file is damaged here, needs a filter that is not installed, or holds counts that are not finite.
         """
         indices = np.arange(self.shape[0])[frames]
-        out = np.empty((len(indices), len(range(self.shape[1])[rows]), self.shape[2]), self.dtype)
+        rows_read = len(range(self.shape[1])[rows])
+        needed_bytes = len(indices) * rows_read * self.shape[2] * self.dtype.itemsize
+        need_memory(needed_bytes, self.path, f"a block of {len(indices)} frames", "take fewer turns, or bin the frames")
+        out = np.empty((len(indices), rows_read, self.shape[2]), self.dtype)
         done = 0
         # h5py reads an index list row by row, many times slower than a range.
         for run in np.split(indices, np.flatnonzero(np.diff(indices) != 1) + 1):
@@ -173,9 +184,11 @@ class FrameFile:
         if stills is None:
             return None
         total: FloatArray = np.zeros(self.shape[1:], dtype=np.float64)[rows]
-        for index in range(len(stills)):
+        at_once = max(1, _STILL_BYTES // (total.size * stills.dtype.itemsize + 1))
+        for first in range(0, len(stills), at_once):
             with _explained(self.path, stills):
-                total += stills[index, rows]
+                for still in stills[first : first + at_once, rows]:
+                    total += still
         if not np.isfinite(total).all():
             raise InputError(f"{self.path} {stills.name}", "holds values that are not finite", accepted="finite counts")
         return total / len(stills)
@@ -186,24 +199,24 @@ class FrameFile:
         where = f"{self.path} /exchange/{name}"
         if dataset.dtype.kind not in "iuf" or dataset.size != max(dataset.shape, default=0):
             raise InputError(where, f"is {dataset.dtype} of shape {dataset.shape}", accepted=f"({count},) numbers")
-        with _explained(self.path, dataset):
-            values: FloatArray = np.asarray(dataset[...], dtype=np.float64).reshape(-1)
-        if self.is_live:
-            values = values[:count]  # a live writer adds an angle before its frame, and more while we look
-        if values.size != count:
+        # A live writer adds an angle before its frame, and more while we look.
+        if dataset.size != count and not (self.is_live and dataset.ndim == 1 and dataset.size > count):
             raise InputError(
-                where, f"{values.size} {what} for {count} frames", accepted="one for each frame",
+                where, f"{dataset.size} {what} for {count} frames", accepted="one for each frame",
                 remedy="check that the recording is complete",
             )  # fmt: skip
-        unit = _unit(dataset) or usual
+        with _explained(self.path, dataset):
+            stored = dataset[:count] if dataset.ndim == 1 else dataset[...]
+            values: FloatArray = np.asarray(stored, dtype=np.float64).reshape(-1)
+        unit = _unit(self.path, dataset) or usual
         if unit not in units:
-            raise InputError(where, f"the unit is {unit!r}", accepted=", ".join(units), remedy="convert the file")
+            raise InputError(where, f"the unit is {unit[:40]!r}", accepted=", ".join(units), remedy="convert the file")
         return values * units[unit]
 
     def _still(self, name: str) -> Any:
         """Return the dataset of dark or white frames, checked; None if there is none, or it is empty."""
-        dataset = self._file.get(f"exchange/{name}")
-        if dataset is None or dataset.shape is None or dataset.shape[0] == 0:
+        dataset = dataset_in(self.path, self._file, f"exchange/{name}", may_be_virtual=True)
+        if dataset is None or dataset.shape[:1] == (0,):
             return None
         if dataset.ndim != 3 or dataset.shape[1:] != self.shape[1:] or dataset.dtype.kind not in "iuf":
             raise InputError(
@@ -211,6 +224,13 @@ class FrameFile:
                 accepted=f"numbers of shape (n, {self.shape[1]}, {self.shape[2]}), as the frames",
                 remedy="record it with the camera's settings of the frames",
             )  # fmt: skip
+        if len(dataset) > _MOST_STILLS:
+            raise InputError(
+                f"{self.path} /exchange/{name}",
+                f"has {len(dataset)} frames",
+                accepted=f"{_MOST_STILLS} at most",
+                remedy="keep their mean",
+            )
         return _with_filters(dataset)
 
 
@@ -219,10 +239,11 @@ def open_hdf5(path: Path) -> tuple[Any, bool]:
     import h5py
 
     wanted = "an HDF5 file in the Data Exchange layout"
-    if is_from_before_a_start(path):
-        with suppress(OSError):
-            return open_torn(path), True
     try:
+        check_plain(path)
+        if is_from_before_a_start(path):
+            with suppress(OSError):
+                return open_torn(path), True
         try:
             return h5py.File(path, "r"), False
         except OSError as error:
@@ -252,13 +273,10 @@ def open_hdf5(path: Path) -> tuple[Any, bool]:
 
 
 def _dataset(path: Path, file: Any, name: str) -> Any:
-    import h5py
-
-    found = file.get(name)
-    if isinstance(found, h5py.Dataset) and found.shape is not None:
+    found = dataset_in(path, file, name, may_be_virtual=True)
+    if found is not None:
         return _with_filters(found)
-    names: list[str] = []
-    file.visititems(lambda key, item: names.append(f"/{key}") if isinstance(item, h5py.Dataset) else None)
+    names = dataset_names(file)
     held = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
     raise InputError(
         path, f"there is no dataset /{name}; the file holds {held or 'no dataset'}",
@@ -268,11 +286,26 @@ def _dataset(path: Path, file: Any, name: str) -> Any:
 
 
 def _settings(path: Path, file: Any) -> dict[str, Any]:
-    text = file["process"].attrs.get("settings", "{}") if "process" in file else "{}"
-    try:
-        return dict(json.loads(text))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path} /process", f"settings is {text!r}", accepted="a JSON object") from error
+    process = object_in(path, file, "process")
+    text = None if process is None else attribute(path, process, "settings")
+    if text is None:
+        return {}
+    if not isinstance(text, str | bytes):
+        raise InputError(f"{path} /process", f"settings is {type(text).__name__}", accepted="a JSON object")
+    return parse_json(text, f"{path} /process settings")
+
+
+def _check_range(where: str, what: str, values: FloatArray, most: float) -> None:
+    """Refuse values that are not known, or are none that a print has."""
+    fits = np.abs(values) <= most  # NaN is not
+    if not fits.all():
+        index = int(np.argmin(fits))
+        raise InputError(
+            where,
+            f"{what} {index} is {values[index]}",
+            accepted=f"finite {what}s, up to {most:.3g} in rad or s",
+            remedy=f"leave out frames whose {what} is not known",
+        )
 
 
 def _check_image_data(path: Path, data: Any) -> None:
@@ -283,12 +316,19 @@ def _check_image_data(path: Path, data: Any) -> None:
         raise InputError(where, f"is empty, of shape {data.shape}", accepted="at least one frame")
     if data.dtype.kind not in "iuf":
         raise InputError(where, f"holds {data.dtype}", accepted="integers or real numbers")
+    if len(data) > _MOST_FRAMES or math.prod(data.shape[1:]) > _MOST_PIXELS:
+        raise InputError(
+            where,
+            f"has the shape {data.shape}",
+            accepted=f"{_MOST_FRAMES:.0e} frames of {_MOST_PIXELS:.0e} pixels at most",
+        )
 
 
-def _unit(dataset: Any) -> str:
-    value = dataset.attrs.get("units", dataset.attrs.get("unit", ""))
-    value = np.asarray(value).reshape(-1)[0] if np.size(value) else ""
-    return (value.decode(errors="replace") if isinstance(value, bytes) else str(value)).strip().lower()
+def _unit(path: Path, dataset: Any) -> str:
+    found = (attribute(path, dataset, name) for name in ("units", "unit"))
+    value = np.asarray(next((one for one in found if one is not None), "")).reshape(-1)
+    unit = value[0] if value.size else ""
+    return (unit.decode(errors="replace") if isinstance(unit, bytes) else str(unit)).strip().lower()
 
 
 def _missing_filters(dataset: Any) -> list[str]:

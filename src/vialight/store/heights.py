@@ -8,6 +8,11 @@ import numpy as np
 
 from vialight.arrays import FloatArray
 from vialight.errors import InputError
+from vialight.store.npy import read_npy
+from vialight.system import open_plain, read_plain
+
+_MOST_BYTES = 200_000_000
+"""Of a text or an image: 40 million heights."""
 
 _WANTED = "a height map in mm: .npy, .csv or .tif of floats, NaN (in CSV also nothing) where nothing was measured"
 
@@ -50,14 +55,15 @@ def read_heights(path: str | Path) -> FloatArray:
 def _read(path: Path) -> np.ndarray:
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        loaded = np.load(path, allow_pickle=False)
-        return np.asarray(loaded)
+        return read_npy(path)
     if suffix in (".csv", ".txt"):
-        return np.array([[_number(cell) for cell in row] for row in _cells(path.read_text(encoding="utf-8-sig"))])
+        return np.array(
+            [[_number(cell) for cell in row] for row in _cells(read_plain(path, _MOST_BYTES).decode("utf-8-sig"))]
+        )
     if suffix in (".tif", ".tiff"):
         from PIL import Image
 
-        with Image.open(path) as image:
+        with open_plain(path, _MOST_BYTES) as file, Image.open(file) as image:
             if (pages := getattr(image, "n_frames", 1)) != 1:
                 raise InputError(path, f"has {pages} pages", accepted=_WANTED, remedy="choose one")
             return np.asarray(image)

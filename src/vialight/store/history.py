@@ -7,6 +7,7 @@ runs while they are written.
 
 from __future__ import annotations
 
+import re
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from numpy.typing import NDArray
 from vialight.arrays import FloatArray
 from vialight.errors import InputError
 from vialight.store.folders import staged_file
+from vialight.store.npy import opened_npz
+from vialight.system import file_in, read_plain
 
 _T = TypeVar("_T")
 
@@ -27,6 +30,12 @@ SURFACES = "surfaces"
 _PLANES = ("xy", "xz", "yz")
 _QUICK = 1
 """Of zlib's levels: a third of the time of the usual one, and 2 % more bytes."""
+_MOST_MOMENT_BYTES = 100_000_000
+"""Unpacked; a live volume with edges of 1000 voxels makes a quarter of it."""
+_MOST_SURFACE_BYTES = 1_000_000_000
+_MOST_HEAD_BYTES = 10_000
+_END_OF_HEAD = b"end_header\n"
+_NUMBER = re.compile("[0-9]{6,12}")
 _LARGEST_HALF = float(np.finfo(np.float16).max)
 
 
@@ -187,8 +196,17 @@ def list_history(run: str | Path) -> list[int]:
     >>> list_history("no such run")
     []
     """
-    folder = Path(run) / HISTORY
-    return sorted(int(path.stem) for path in folder.glob("*.npz") if path.stem.isdigit())
+    return _numbered(run, HISTORY, ".npz")
+
+
+def _numbered(run: str | Path, name: str, suffix: str) -> list[int]:
+    """Return the numbers of the files in a folder of a run whose names are those that this program gives."""
+    try:
+        names = [path.name for path in file_in(run, name).iterdir()]
+    except (OSError, InputError):  # none there, or one that leads elsewhere
+        return []
+    stems = (one.removesuffix(suffix) for one in names if one.endswith(suffix))
+    return sorted(int(stem) for stem in stems if _NUMBER.fullmatch(stem) and f"{int(stem):06d}" == stem)
 
 
 def read_history(run: str | Path, number: int) -> HistoryMoment:
@@ -203,12 +221,12 @@ def read_history(run: str | Path, number: int) -> HistoryMoment:
     def read(held: Mapping[str, NDArray[Any]]) -> HistoryMoment:
         planes = {kind: _planes(held, kind) for kind in ("density", "cured", "slice", "gel")}
         density, cured = planes["density"], planes["cured"]
+        voxel_mm, centre_z_mm = float(held["voxel_mm"]), float(held["centre_z_mm"])
         if density is None or cured is None:
             raise KeyError("density_xy")
-        return HistoryMoment(
-            _numbers(held), float(held["voxel_mm"]), float(held["centre_z_mm"]), density, cured,
-            planes["slice"], planes["gel"],
-        )  # fmt: skip
+        if not (0 < voxel_mm < np.inf and np.isfinite(centre_z_mm)):
+            raise ValueError(f"voxels of {voxel_mm} mm about {centre_z_mm} mm")
+        return HistoryMoment(_numbers(held), voxel_mm, centre_z_mm, density, cured, planes["slice"], planes["gel"])
 
     return _load(run, number, read)
 
@@ -232,7 +250,10 @@ def _numbers(held: Mapping[str, NDArray[Any]]) -> HistoryNumbers:
 def _planes(held: Mapping[str, NDArray[Any]], kind: str) -> Planes | None:
     if f"{kind}_xy" not in held:
         return None
-    return Planes(*(held[f"{kind}_{plane}"].astype(np.float64) for plane in _PLANES))
+    planes = Planes(*(held[f"{kind}_{plane}"].astype(np.float64) for plane in _PLANES))
+    if any(plane.ndim != 2 or not plane.size for plane in planes):
+        raise ValueError(f"{kind} has images of {' and '.join(str(plane.shape) for plane in planes)}")
+    return planes
 
 
 class StoredSurface(NamedTuple):
@@ -254,7 +275,7 @@ def list_surfaces(run: str | Path) -> list[int]:
     >>> list_surfaces("no such run")
     []
     """
-    return sorted(int(path.stem) for path in (Path(run) / SURFACES).glob("*.ply") if path.stem.isdigit())
+    return _numbered(run, SURFACES, ".ply")
 
 
 def read_surface(run: str | Path, number: int) -> StoredSurface:
@@ -277,11 +298,13 @@ def read_surface(run: str | Path, number: int) -> StoredSurface:
     >>> read_surface(run, 199).deviation_mm.tolist()
     [0.5, 0.0, -0.5]
     """
-    path = Path(run) / SURFACES / f"{number:06d}.ply"
+    path = file_in(run, SURFACES, f"{number:06d}.ply")
     try:
-        content = path.read_bytes()
+        content = read_plain(path, _MOST_SURFACE_BYTES)
     except FileNotFoundError as error:
         raise InputError(path, "there is no such surface", accepted="a number that `list_surfaces` gives") from error
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", remedy="check the file") from error
     try:
         return _parse_ply(content)
     except (ValueError, KeyError, IndexError) as error:
@@ -289,27 +312,38 @@ def read_surface(run: str | Path, number: int) -> StoredSurface:
 
 
 def _parse_ply(content: bytes) -> StoredSurface:
-    head, _, body = content.partition(b"end_header\n")
-    lines = [line.split() for line in head.decode("ascii").splitlines()]
+    end = content.find(_END_OF_HEAD, 0, _MOST_HEAD_BYTES)
+    if end < 0:
+        raise ValueError("no head of a PLY")
+    lines = [line.split() for line in content[:end].decode("ascii").splitlines()]
+    body = memoryview(content)[end + len(_END_OF_HEAD) :]
     if ["format", "binary_little_endian", "1.0"] not in lines:
         raise ValueError("no binary PLY")
     counts = {line[1]: int(line[2]) for line in lines if line[:1] == ["element"]}
     kinds = {"float": "<f4", "uchar": "u1"}
     columns = [(line[2], kinds[line[1]]) for line in lines if line[:1] == ["property"] and line[1] != "list"]
+    if min(counts.values()) < 0:
+        raise ValueError(f"counts of {counts}")
     vertices = np.frombuffer(body, np.dtype(columns), counts["vertex"])
     triangle = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
     faces = np.frombuffer(body, triangle, counts["face"], vertices.nbytes)
-    points = np.stack([vertices[axis] for axis in "xyz"], axis=1)
+    points, corners = np.stack([vertices[axis] for axis in "xyz"], axis=1), faces["corners"].copy()
+    if not ((faces["count"] == 3).all() and ((corners >= 0) & (corners < len(points))).all()):
+        raise ValueError("faces that are no triangles of its vertices")
+    if not np.isfinite(points).all():
+        raise ValueError("vertices that are nowhere")
     is_measured = "deviation_mm" in (vertices.dtype.names or ())
     deviation = vertices["deviation_mm"].copy() if is_measured else np.empty(0, np.float32)
-    return StoredSurface(points, faces["corners"].copy(), deviation)
+    return StoredSurface(points, corners, deviation)
 
 
 def _load(run: str | Path, number: int, read: Callable[[Mapping[str, NDArray[Any]]], _T]) -> _T:
-    path = Path(run) / HISTORY / f"{number:06d}.npz"
+    path = file_in(run, HISTORY, f"{number:06d}.npz")
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+        with opened_npz(path, most_bytes=_MOST_MOMENT_BYTES) as held:
             return read(held)
+    except InputError:
+        raise
     except FileNotFoundError as error:
         raise InputError(path, "there is no such moment", accepted="a number that `list_history` gives") from error
     except Exception as error:  # zip and numpy fail in as many ways as files are broken

@@ -8,8 +8,6 @@ h5py and hdf5plugin are imported when a plan is written or read.
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,19 +17,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vialight.arrays import Grid
-from vialight.config import Rig
+from vialight.config import Rig, parse_toml
 from vialight.errors import InputError
 from vialight.mesh import Mesh
 from vialight.plan import Patterns, Plan
 from vialight.store.folders import staged_file
-from vialight.store.results import to_json
+from vialight.store.hdf5 import attribute, dataset_in, object_in
+from vialight.store.results import parse_json, to_json
 from vialight.store.rigs import rig_to_toml
+from vialight.system import check_plain, need_memory
 
 IMPLEMENTS = "vialight-plan"
 SCHEMA = 1
 _WANTED = "a plan, as `vialight plan` writes it"
 _TARGET_SLICES = 16
 _TABLES = ("settings", "metrics", "inputs")
+_ARRAYS = {
+    "patterns": ("u", 3),
+    "angles_deg": ("iuf", 1),
+    "target": ("f", 3),
+    "reference/vertices_mm": ("iuf", 2),
+    "reference/faces": ("iu", 2),
+}
+"""Kinds of number and count of axes of what is read whole."""
+_COPIES = 1.5
+"""Of its arrays that reading a plan needs, some for a while only."""
+_MOST_PACKED = 260
+"""Times that blosc packs what is all the same."""
+_MOST_TEXT_BYTES = 1_000_000
 
 
 def write_plan(path: str | Path, plan: Plan) -> None:
@@ -100,23 +113,38 @@ def read_plan(path: str | Path) -> Plan:
     path = Path(path)
     with _open(path) as file, _explained(path):
         _check_kind(path, file)
-        levels, target, reference = file["patterns"], file["target"], file["reference"]
-        voxel_mm, centre_z_mm = (float(target.attrs[name]) for name in ("voxel_mm", "centre_z_mm"))
+        arrays = {name: _array(path, file, name, *kind) for name, kind in _ARRAYS.items()}
+        needed_bytes = _COPIES * sum(array.size * array.dtype.itemsize for array in arrays.values())
+        need_memory(needed_bytes, path, "this plan", "plan with fewer --angles or a coarser --voxel")
+        levels, target = arrays["patterns"], arrays["target"]
+        voxel_mm, centre_z_mm, rate = (
+            float(attribute(path, of, name))
+            for of, name in ((target, "voxel_mm"), (target, "centre_z_mm"), (levels, "dose_rate_per_level"))
+        )
+        if not (0 < voxel_mm < np.inf and np.isfinite(centre_z_mm) and 0 < rate < np.inf):
+            raise ValueError(f"voxels of {voxel_mm} mm about {centre_z_mm} mm, {rate} a level")
+        first_row, first_column = (int(attribute(path, levels, name)) for name in ("first_row", "first_column"))
         z, y, x = target.shape
-        patterns = Patterns(
-            levels[:], np.deg2rad(file["angles_deg"][:]), int(levels.attrs["first_row"]),
-            int(levels.attrs["first_column"]), float(levels.attrs["dose_rate_per_level"]),
-        )  # fmt: skip
         plan = Plan(
-            patterns,
-            Mesh(reference["vertices_mm"][:], reference["faces"][:]),
+            Patterns(levels[:], np.deg2rad(arrays["angles_deg"][:]), first_row, first_column, rate),
+            Mesh(arrays["reference/vertices_mm"][:], arrays["reference/faces"][:]),
             target[:],
             Grid((z, y, x), voxel_mm, centre_z_mm),
-            Rig.model_validate(tomllib.loads(_text(file, "rig")) | {"source": f"{path} /rig"}),
-            *(json.loads(_text(file, name)) for name in _TABLES),
+            Rig.model_validate(parse_toml(_text(path, file, "rig"), "/rig") | {"source": f"{path} /rig"}),
+            *(parse_json(_text(path, file, name), f"/{name}") for name in _TABLES),
         )
         _check(path, plan.patterns, plan.target, plan.grid)
     return plan
+
+
+def _array(path: Path, file: Any, name: str, kinds: str, axes: int) -> Any:
+    """Return a dataset of a plan, which states no more than is there and has as many axes as it should."""
+    found = dataset_in(path, file, name, most_packed=_MOST_PACKED)
+    if found is None:
+        raise KeyError(name)
+    if found.dtype.kind not in kinds or found.ndim != axes:
+        raise ValueError(f"/{name} is {found.dtype} of shape {found.shape}")
+    return found
 
 
 def _check(path: str | Path, patterns: Patterns, target: NDArray[Any], grid: Grid) -> None:
@@ -141,6 +169,7 @@ def _open(path: Path) -> Any:
     import hdf5plugin  # noqa: F401  importing it registers its filters
 
     try:
+        check_plain(path)
         return h5py.File(path, "r")
     except FileNotFoundError as error:
         raise InputError(path, "there is no such file", accepted=_WANTED, remedy="check the path") from error
@@ -153,11 +182,12 @@ def _open(path: Path) -> Any:
 
 
 def _check_kind(path: Path, file: Any) -> None:
-    kind = _text(file, "implements") if "implements" in file else ""
+    kind = _text(path, file, "implements") if object_in(path, file, "implements") is not None else ""
     if kind != IMPLEMENTS:
         what = f"implements {kind!r}" if kind else "is HDF5, but does not say of what kind"
         raise InputError(path, f"is not a plan: it {what}", accepted=_WANTED, remedy="check the path")
-    schema = int(file["schema"][()])
+    stated = dataset_in(path, file, "schema")
+    schema = 0 if stated is None or stated.shape != () else int(stated[()])
     if schema != SCHEMA:
         raise InputError(
             path, f"is a plan of schema {schema}", accepted=f"schema {SCHEMA}",
@@ -165,15 +195,18 @@ def _check_kind(path: Path, file: Any) -> None:
         )  # fmt: skip
 
 
-def _text(file: Any, name: str) -> str:
-    return str(file[name].asstr()[()])
+def _text(path: Path, file: Any, name: str) -> str:
+    found = dataset_in(path, file, name)
+    if found is None or found.shape != () or found.dtype.itemsize > _MOST_TEXT_BYTES:
+        raise ValueError(f"/{name} is no text")
+    return str(found.asstr()[()])
 
 
 @contextmanager
 def _explained(path: Path) -> Iterator[None]:
     try:
         yield
-    except (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError, InputError) as error:
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError, InputError) as error:
         if str(error).startswith(str(path)):
             raise
         raise _damaged(path, error) from error

@@ -16,10 +16,19 @@ from numpy.typing import NDArray
 
 from vialight.arrays import Float32Array, FloatArray
 from vialight.errors import InputError
+from vialight.store.npy import opened_npz, read_npy
+from vialight.system import check_plain, need_memory, open_plain, read_plain
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
 _AXES = ("angle", "row", "column")
+_NPY = b"\x93NUMPY"
+_MOST_BYTES = 1 << 40
+_MOST_LISTED_BYTES = 4_000_000
+_LARGE_BYTES = 250_000_000
+_MOST_PACKED = 260
+"""Times that images are packed; patterns that are mostly black, to a hundredth."""
+_FEWER = "take fewer or smaller images, or a machine with more memory"
 _WANTED = ".npy, .npz, a TIFF of many pages, or a folder of PNG or TIFF images"
 
 
@@ -132,30 +141,52 @@ def _read_values(path: Path, name: str | None) -> NDArray[Any]:
 
 
 def _read_array(path: Path, name: str | None) -> NDArray[Any]:
-    with path.open("rb") as file:
-        loaded = np.load(file, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return loaded
-        names = [name] if name else [key for key in loaded.files if loaded[key].ndim == 3]
-        if len(names) != 1 or names[0] not in loaded.files:
+    with open_plain(path, _MOST_BYTES) as file:
+        is_single = file.read(len(_NPY)) == _NPY
+    if is_single:
+        return read_npy(path)
+    with opened_npz(path, most_bytes=_MOST_BYTES) as held:
+        names = [name] if name else [key for key in held if len(held.shape(key)) == 3]
+        if len(names) != 1 or names[0] not in held:
             raise InputError(
-                path, f"holds the arrays {', '.join(loaded.files) or 'none'}",
+                path, f"holds the arrays {', '.join(held) or 'none'}",
                 accepted="one with three axes", remedy="save by itself the one that is meant",
             )  # fmt: skip
-        return np.asarray(loaded[names[0]])
+        return held[names[0]]
 
 
 def _read_folder(folder: Path) -> NDArray[Any]:
     files = sorted((path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES), key=_by_numbers)
     if not files:
         raise InputError(folder, "holds no images", accepted=", ".join(IMAGE_SUFFIXES), remedy="check the path")
-    return _stacked(folder, [(path.name, page) for path in files for page in _read_pages(path)])
+    pages: list[tuple[str, NDArray[Any]]] = []
+    stored_bytes = sum(check_plain(path) for path in files)
+    for path in files:
+        stack = _read_pages(path)
+        _check_stated(folder, len(files), len(files) * stack.nbytes, stored_bytes)
+        pages += [(path.name, page) for page in stack]
+    return _stacked(folder, pages)
+
+
+def _check_stated(path: Path, count: int, stated_bytes: int, stored_bytes: int) -> None:
+    """Refuse images that state far more than is stored, or more than fits into memory."""
+    if stated_bytes > _LARGE_BYTES and stated_bytes > _MOST_PACKED * stored_bytes:
+        raise InputError(
+            path,
+            f"states {count} images, {stated_bytes / 1e9:.4g} GB, in {stored_bytes} bytes",
+            accepted="images that are there",
+            remedy="export it again",
+        )
+    need_memory(2 * stated_bytes, path, f"a stack of {count} images", _FEWER)
 
 
 def _read_pages(path: Path) -> NDArray[Any]:
     from PIL import Image, ImageSequence
 
-    with Image.open(path) as image:
+    with open_plain(path, _MOST_BYTES) as file, Image.open(file) as image:
+        size = file.seek(0, 2)
+        count = getattr(image, "n_frames", 1)
+        _check_stated(path, count, count * image.width * image.height, size)
         pages = enumerate(ImageSequence.Iterator(image))
         return _stacked(path, [(f"page {index}", _grey(path, page)) for index, page in pages])
 
@@ -211,8 +242,12 @@ def _listed_angles(
 
 def _read_angles(path: Path) -> FloatArray:
     try:
-        loaded = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else np.loadtxt(path, ndmin=1)
-        return np.asarray(loaded, dtype=np.float64)
+        if path.suffix.lower() == ".npy":
+            return np.asarray(read_npy(path), dtype=np.float64)
+        lines = read_plain(path, _MOST_LISTED_BYTES).decode().splitlines()
+        return np.asarray(np.loadtxt(lines, ndmin=1), dtype=np.float64)
+    except InputError:
+        raise
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
             path, f"is no list of angles ({error})", accepted=".npy, or text with an angle a line"

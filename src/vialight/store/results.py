@@ -5,15 +5,23 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from vialight.errors import InputError
 from vialight.store.durable import sync_descriptor, sync_folder
 from vialight.store.folders import staged_file
+from vialight.system import file_in, open_plain, read_plain
+
+_MOST_BYTES = 16_000_000
+"""Of a file of results; the largest of vialight's own have a tenth."""
+_DEEPEST = 64
+_LARGEST_INTEGER = 2**63
 
 
 def to_json(results: Mapping[str, Any]) -> str:
@@ -90,18 +98,62 @@ def read_json(path: str | Path) -> dict[str, Any]:
     >>> read_json(path)
     {'rmse_mm': 0.25}
     """
-    path = Path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_plain(path, _MOST_BYTES)
     except OSError as error:
         raise InputError(
             path, f"cannot be read ({error.strerror})", accepted="results in JSON", remedy="check the path"
         ) from error
-    except ValueError as error:  # of JSON or of UTF-8
-        raise InputError(path, f"is not JSON ({error})", accepted="results in JSON", remedy="make it again") from error
-    if not isinstance(content, dict):
-        raise InputError(path, f"holds a {type(content).__name__}", accepted="an object: names and values")
-    return content
+    return parse_json(content, path)
+
+
+def parse_json(content: bytes | str, where: object) -> dict[str, Any]:
+    """Return the object that a text in JSON states, of plain numbers that programs can compute with.
+
+    Parameters
+    ----------
+    content
+        JSON, in UTF-8.
+    where
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        It is not JSON (which has no NaN), is no object, or has numbers or a depth that no result has.
+
+    Examples
+    --------
+    >>> parse_json('{"rmse_mm": 0.25}', "metrics.json")
+    {'rmse_mm': 0.25}
+    """
+    try:
+        raw = (content.encode() if isinstance(content, str) else content).removeprefix(b"\xef\xbb\xbf")
+        found = msgspec.json.decode(raw)
+        _check_values(found)
+    except (ValueError, RecursionError) as error:
+        raise InputError(where, f"is not JSON ({error})", accepted="results in JSON", remedy="make it again") from error
+    if not isinstance(found, dict):
+        raise InputError(where, f"holds a {type(found).__name__}", accepted="an object: names and values")
+    return found
+
+
+def _check_values(found: object) -> None:
+    """Refuse what is valid JSON and makes those stumble who read it."""
+    level: list[Any] = [found]
+    for _ in range(_DEEPEST):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                inner.extend(value.values())
+            elif isinstance(value, list):
+                inner.extend(value)
+            elif isinstance(value, int) and abs(value) >= _LARGEST_INTEGER:
+                raise ValueError("a number is too large")
+        if not inner:
+            return
+        level = inner
+    raise ValueError(f"it is more than {_DEEPEST} levels deep")
 
 
 def sha256_of(path: str | Path) -> str:
@@ -123,11 +175,12 @@ def sha256_of(path: str | Path) -> str:
     path = Path(path)
     try:
         if not path.is_dir():
-            with path.open("rb") as file:
+            with open_plain(path, sys.maxsize) as file:
                 return hashlib.file_digest(file, "sha256").hexdigest()
         whole = hashlib.sha256()
         files = {item.relative_to(path).as_posix(): item for item in path.rglob("*") if item.is_file()}
         for name in sorted(files):
+            file_in(path, name)
             whole.update(f"{sha256_of(files[name])} {name}\0".encode())
         return whole.hexdigest()
     except OSError as error:

@@ -20,6 +20,7 @@ from vialight.errors import InputError
 from vialight.store.folders import disk_full, is_disk_full, unwritable
 from vialight.store.results import read_json
 from vialight.store.volumes import create_array, damage_told, described, grid_of_image, not_written
+from vialight.store.zarrs import read_stored, stored_image
 
 SERIES = "volumes.zarr"
 _WANTED = "volumes over time written by vialight: OME-Zarr 0.5, axes t z y x"
@@ -168,16 +169,13 @@ class VolumeSeries:
         InputError
             There is no such volume, or it is damaged.
         """
-        import zarr
-
         if not 0 <= number < len(self):
             raise InputError(self.path, f"has no volume {number}", accepted=f"0 to {len(self) - 1}")
         with damage_told(self.path):
-            array = zarr.open_group(self.path, mode="r", zarr_format=3)["0"]
-            assert isinstance(array, zarr.Array)
-            if not (self.path / "0" / array.metadata.encode_chunk_key((number, 0, 0, 0))).is_file():
+            image = stored_image(self.path, 4)
+            if number >= image.shape[0] or image.shape[1:] != self.grid.shape:
                 raise InputError(self.path, f"volume {number} is missing", remedy="copy it again")
-            return Volume(np.asarray(array[number], dtype=np.float32), self.grid)
+            return Volume(read_stored(image, number), self.grid)
 
 
 def read_series(path: str | Path) -> VolumeSeries:
@@ -188,20 +186,17 @@ def read_series(path: str | Path) -> VolumeSeries:
     InputError
         It is missing, is something else, or is damaged.
     """
-    import zarr
-
     path = Path(path)
     if not (path / "zarr.json").is_file():
         raise InputError(path, "there is no such zarr", accepted=_WANTED, remedy="check the path")
     with damage_told(path):
-        # Attributes first: they are written last, so that what they tell of is there.
-        group = zarr.open_group(path, mode="r", zarr_format=3)
-        attributes, array = dict(group.attrs), group["0"]
-        if not isinstance(array, zarr.Array) or array.ndim != 4:
-            raise InputError(path, "is not an image over time", accepted=_WANTED)
-        if "ome" not in attributes:  # not one volume yet
+        image = stored_image(path, 4)
+        if "ome" not in image.attributes:  # not one volume yet
             raise InputError(path, "holds no volume yet", remedy="wait for the first turn")
-        grid = grid_of_image(path, attributes, array.shape, over_time=True)
-        own: Any = attributes["vialight"]
+        grid = grid_of_image(path, image.attributes, image.shape, over_time=True)
+        own: Any = image.attributes["vialight"]
         moments = {name: np.array(values, dtype=np.float64) for name, values in own["moments"].items()}
+        count = len(moments["time_s"])
+        if any(values.shape != (count,) for values in moments.values()):
+            raise InputError(path, "does not say the same of each volume", accepted=_WANTED)
         return VolumeSeries(path, grid, moments)

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from vialight.errors import InputError
 from vialight.store.folders import staged_file
+from vialight.store.npy import opened_npz
+
+_MOST_BYTES = 1 << 40
 
 
 class SavedState(NamedTuple):
@@ -46,27 +49,32 @@ def read_state(
         The file is missing or damaged, or belongs to another method, part, grid or count of angles.
     """
     path = Path(path)
+    shapes = {
+        "projections": projections_shape,
+        "dose": dose_shape,
+        "model": {"object-space": (2, *dose_shape), "gradient": projections_shape}.get(method, dose_shape),
+    }
     try:
-        with np.load(path, allow_pickle=False) as held:
-            state = SavedState(
-                str(held["method"]), int(held["passes"]), held["model"], held["projections"], held["dose"]
-            )
+        with opened_npz(path, most_bytes=_MOST_BYTES) as held:
+            of_method, passes = str(held["method"]), int(held["passes"])
+            found = {name: held.shape(name) for name in shapes}
+            fits = of_method == method and found == shapes
+            arrays = {name: held[name].astype(np.float32, copy=False) for name in shapes} if fits else {}
+    except InputError:
+        raise
     except FileNotFoundError as error:
         raise InputError(path, "there is no such file", accepted="a state saved by plan --save-state") from error
     except Exception as error:  # zip and numpy fail in as many ways as files are broken
         raise InputError(
             path, f"is damaged, or no state ({type(error).__name__})", remedy="start without it"
         ) from error
-    if state.method != method:
-        raise InputError(
-            path,
-            f"was saved by the method {state.method}",
-            accepted=method,
-            remedy=f"resume with --method {state.method}",
-        )
-    if state.projections.shape != projections_shape or state.dose.shape != dose_shape:
-        raise InputError(
-            path, f"is of projections {state.projections.shape} and voxels {state.dose.shape}",
-            accepted=f"{projections_shape} and {dose_shape}", remedy="resume with the part and settings of that run",
-        )  # fmt: skip
-    return state
+    if of_method != method:
+        told = f"was saved by the method {of_method[:40]}"
+        raise InputError(path, told, accepted=method, remedy=f"resume with --method {of_method[:40]}")
+    if not fits:
+        told = f"is of projections {found['projections']} and voxels {found['dose']}"
+        accepted = f"{projections_shape} and {dose_shape}"
+        raise InputError(path, told, accepted=accepted, remedy="resume with the part and settings of that run")
+    if passes < 0 or not all(np.isfinite(array).all() for array in arrays.values()):
+        raise InputError(path, "holds values that are not finite", remedy="start without it")
+    return SavedState(method, passes, arrays["model"], arrays["projections"], arrays["dose"])

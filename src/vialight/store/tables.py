@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,10 @@ import numpy as np
 
 from vialight.arrays import FloatArray
 from vialight.errors import InputError
+from vialight.system import read_plain
+
+_MOST_BYTES = 4_000_000
+"""People do not type more."""
 
 
 def read_table(path: str | Path, columns: Sequence[str]) -> dict[str, FloatArray]:
@@ -28,10 +33,10 @@ def read_table(path: str | Path, columns: Sequence[str]) -> dict[str, FloatArray
         The file cannot be read, a column is missing, or something is no number.
     """
     try:
-        with Path(path).open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            rows = list(reader)
-            heads = [head.strip() for head in reader.fieldnames or ()]
+        text = read_plain(path, _MOST_BYTES).decode("utf-8-sig")
+        reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
+        rows = list(reader)
+        heads = [head.strip() for head in reader.fieldnames or ()]
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})", accepted="CSV", remedy="check the path") from error
     except (UnicodeDecodeError, csv.Error) as error:

@@ -19,6 +19,7 @@ import numpy as np
 from vialight.arrays import Float32Array, Grid, Volume
 from vialight.errors import InputError
 from vialight.store.folders import staged_file, unwritable
+from vialight.store.zarrs import attributes_of, read_stored, stored_image
 
 _SHARD_SLICES = 16
 _CHUNK_EDGE = 128
@@ -188,23 +189,14 @@ def read_volume(path: str | Path) -> Volume:
         raise InputError(path, "there is no such folder", accepted=_WANTED, remedy="check the path")
     if not (path / "zarr.json").is_file():
         raise InputError(path, "is not a zarr of version 3 (it holds no zarr.json)", accepted=_WANTED)
-    import zarr
-
     with damage_told(path):
-        group = zarr.open_group(path, mode="r", zarr_format=3)
-        attributes = dict(group.attrs)
-        if "ome" not in attributes:
+        if "ome" not in attributes_of(path):
             raise InputError(
                 path, "is not an image, or was never finished", accepted=_WANTED, remedy="reconstruct again"
             )
-        array = group["0"]
-        if not isinstance(array, zarr.Array) or array.ndim != 3:
-            raise InputError(path, "is not an image of three axes", accepted=_WANTED)
-        grid = grid_of_image(path, attributes, array.shape)
-        missing = _missing_shards(path, array)
-        if missing:
-            raise InputError(path, f"{missing} shards are missing", accepted="all of them", remedy="copy it again")
-        return Volume(np.asarray(array[:], dtype=np.float32), grid)
+        image = stored_image(path, 3)
+        grid = grid_of_image(path, image.attributes, image.shape)
+        return Volume(read_stored(image), grid)
 
 
 @contextmanager
@@ -212,7 +204,16 @@ def damage_told(path: Path) -> Iterator[None]:
     """Tell a zarr that cannot be read as damaged."""
     try:
         yield
-    except (OSError, ValueError, KeyError, TypeError, IndexError, RuntimeError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        IndexError,
+        RuntimeError,
+        AttributeError,
+        ArithmeticError,
+    ) as error:
         raise InputError(
             path, f"is damaged ({type(error).__name__}: {error})", accepted=_WANTED, remedy="copy or make it again"
         ) from error
@@ -282,11 +283,13 @@ def grid_of_image(path: Path, attributes: dict[str, Any], shape: tuple[int, ...]
         raise InputError(path, f"has the axes {axes}", accepted=_WANTED)
     scale, translation = multiscale["datasets"][0]["coordinateTransformations"]
     voxel_mm, *others = scale["scale"][-3:]
+    if not 0 < voxel_mm < np.inf or not min(shape[-3:]):
+        raise InputError(path, f"has {shape[-3:]} voxels of {voxel_mm} mm", accepted=_WANTED)
     origin = np.array(translation["translation"][-3:], dtype=np.float64)
     # The translation holds the centre's height up to rounding; our own key holds it exactly.
     z, y, x = shape[-3:]
     derived = float(origin[0] - Grid((z, y, x), voxel_mm).origin_mm[0])
-    centre_z_mm = attributes.get("vialight", {}).get("centre_z_mm", derived)
+    centre_z_mm = float(attributes.get("vialight", {}).get("centre_z_mm", derived))
     grid = Grid((z, y, x), voxel_mm, centre_z_mm)
     if others != [voxel_mm, voxel_mm] or not np.allclose(origin, grid.origin_mm, rtol=0, atol=1e-6 * voxel_mm):
         raise InputError(
@@ -294,12 +297,6 @@ def grid_of_image(path: Path, attributes: dict[str, Any], shape: tuple[int, ...]
             accepted="cubic voxels, centred on the rotation axis in y and x",
         )  # fmt: skip
     return grid
-
-
-def _missing_shards(path: Path, array: Any) -> int:
-    counts = [-(-size // edge) for size, edge in zip(array.shape, array.shards or array.chunks, strict=True)]
-    keys = (array.metadata.encode_chunk_key(index) for index in np.ndindex(*counts))
-    return sum(not (path / array.path / key).is_file() for key in keys)
 
 
 def not_written(path: Path, error: OSError) -> Exception:

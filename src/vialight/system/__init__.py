@@ -1,5 +1,8 @@
-"""What vialight asks the operating system.
+"""What vialight asks the operating system: processes, waits, files that anyone may have made, and memory.
 
+- `archives`: zip archives of which the unpacked size is known first
+- `files`: plain files only, of a sane size, and none outside a run's folder
+- `memory`: whether there is enough
 - `processes`: a process told apart from a later one of the same number; whether it runs, is stopped, or is gone
 - `shared_files`: private folders in memory, and files in them that several processes map
 - `interrupts`: Ctrl-C and the wish to end, heard at once whatever the main thread does
@@ -7,8 +10,11 @@
 - `waiting`: waits that have an end, and end at once where something is wrong
 """
 
+from vialight.system.archives import open_archive
+from vialight.system.files import check_plain, file_in, open_plain, read_plain
 from vialight.system.interrupts import StopAsked, leave_interrupts_to_the_print
 from vialight.system.lines import LineWriter
+from vialight.system.memory import need_memory
 from vialight.system.processes import ProcessIdentity, ProcessState, identity_of, is_same_process, state_of
 from vialight.system.shared_files import is_shared_folder, make_shared_file, map_shared_file, reserve, shared_folder
 from vialight.system.waiting import wait_for
@@ -18,12 +24,18 @@ __all__ = [
     "ProcessIdentity",
     "ProcessState",
     "StopAsked",
+    "check_plain",
+    "file_in",
     "identity_of",
     "is_same_process",
     "is_shared_folder",
     "leave_interrupts_to_the_print",
     "make_shared_file",
     "map_shared_file",
+    "need_memory",
+    "open_archive",
+    "open_plain",
+    "read_plain",
     "reserve",
     "shared_folder",
     "state_of",

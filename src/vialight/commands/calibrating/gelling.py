@@ -19,6 +19,7 @@ from vialight.feedback import StopModel
 from vialight.kinetics import doses_over_time, mj_per_cm2
 from vialight.live import LOOKS_A_TURN, Place, see_again, times_of
 from vialight.store import open_frames, read_json, read_plan, read_volume
+from vialight.system import file_in
 
 FEWEST = 50
 """Voxels within what gelled while there was light."""
@@ -97,8 +98,8 @@ def gel_doses(
         The run lacks what is needed, or too little gelled while there was light.
     """
     run = Path(run)
-    rig = load_rig(run / "rig.toml")
-    plan_path = run / "plan.h5" if plan is None else Path(plan)
+    rig = load_rig(file_in(run, "rig.toml"))
+    plan_path = file_in(run, "plan.h5") if plan is None else Path(plan)
     if not plan_path.exists():
         raise InputError(plan_path, "there is no such file", accepted="the plan that was printed", remedy="give --plan")
     patterns = read_plan(plan_path).patterns
@@ -108,10 +109,10 @@ def gel_doses(
             run / "rig.toml", "[projector] has no irradiance_mw_per_cm2", accepted="that of level 255, in air",
             remedy="measure it with a power meter in the plane of the axis",
         )  # fmt: skip
-    with open_frames(run / "frames.h5") as frames:
+    with open_frames(file_in(run, "frames.h5")) as frames:
         light = light_of(run, rig, frames, patterns)
-        if (run / "gel_time.zarr").exists():
-            times, delay_s, delay_std_s = read_volume(run / "gel_time.zarr"), 0.0, 0.0
+        if (stored := file_in(run, "gel_time.zarr")).exists():
+            times, delay_s, delay_std_s = read_volume(stored), 0.0, 0.0
             source = "gel times of the twin (gel_time.zarr)"
         else:
             lit_s = light.lit_at(times_of(frames, rig))
@@ -136,7 +137,7 @@ def gel_doses(
 
 def _gel_share(run: Path) -> float:
     """Return the density at which a place gels, of I_p, that of finished surfaces; 1 where no rehearsal says."""
-    path = run / REHEARSAL
+    path = file_in(run, REHEARSAL)
     return StopModel.from_json(read_json(path)).gel_share if path.exists() else 1.0
 
 
