@@ -14,12 +14,13 @@ import logging
 import os
 import socket
 import threading
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 _LOG = logging.getLogger("vialight.web")
-_HANDFUL = 16
+_HANDFUL = 32
 """Connections accepted before those that are open are heard again."""
 _PAUSE_S = 0.02
 """Without accepting, where the system has no descriptor left."""
@@ -56,14 +57,17 @@ class Limits:
         Of those, from one address.
     inside
         Connections that are let in.
+    silence_s
+        From connecting to a first word.
     patience_s
-        From connecting until a request is let in.
+        From there until a request is let in.
     """
 
     strangers: int = 128
     of_one: int = 64
     inside: int = 256
-    patience_s: float = 5.0
+    silence_s: float = 2.0
+    patience_s: float = 3.0
 
     @classmethod
     def of_this_process(cls) -> Limits:
@@ -90,6 +94,7 @@ class Places:
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self._strangers: dict[Connection, None] = {}
+        self._of_one: defaultdict[str, dict[Connection, None]] = defaultdict(dict)
         self._inside: dict[Connection, None] = {}
 
     @property
@@ -99,10 +104,10 @@ class Places:
 
     def enter(self, connection: Connection) -> None:
         """Give a stranger a place, if need be another stranger's."""
-        self._strangers[connection] = None
-        of_one = [other for other in self._strangers if other.address == connection.address]
+        of_one = self._of_one[connection.address]
+        self._strangers[connection] = of_one[connection] = None
         if len(of_one) > self.limits.of_one:
-            self._cut(of_one[0])
+            self._cut(next(iter(of_one)))
         elif len(self._strangers) > self.limits.strangers:
             self.cut_oldest_stranger()
 
@@ -110,7 +115,7 @@ class Places:
         """Give a connection a place that no stranger can take."""
         if connection in self._inside or connection not in self._strangers:
             return
-        del self._strangers[connection]
+        self.leave(connection)
         self._inside[connection] = None
         if len(self._inside) > self.limits.inside:
             others = [other for other in self._inside if other is not connection]
@@ -118,8 +123,13 @@ class Places:
 
     def leave(self, connection: Connection) -> None:
         """Take note that a connection is gone."""
-        self._strangers.pop(connection, None)
         self._inside.pop(connection, None)
+        if connection in self._strangers:
+            del self._strangers[connection]
+            of_one = self._of_one[connection.address]
+            del of_one[connection]
+            if not of_one:
+                del self._of_one[connection.address]
 
     def cut_oldest_stranger(self) -> bool:
         """Make room; tell whether there was anyone to cut."""
@@ -199,7 +209,8 @@ class Acceptor:
     """Accepts connections by small handfuls, and goes on where the system has no descriptor left.
 
     The event loop's own would take all that have queued up before the first of them is heard, and then, out of
-    descriptors, none for a second.
+    descriptors, none for a second.  One that says nothing is given nothing but its place, so that a thousand of them
+    hold up nobody.
 
     Parameters
     ----------
@@ -238,7 +249,7 @@ class Acceptor:
             return
         for _ in range(_HANDFUL):
             try:
-                connection, _ = self._listener.accept()
+                connection, address = self._listener.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
                 return
             except OSError as error:
@@ -248,12 +259,15 @@ class Acceptor:
                 elif not self._places.cut_oldest_stranger() and not self._reserve.release(1):
                     self._pause()
                 return
-            task = asyncio.get_running_loop().create_task(self._connect(connection))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            connection.setblocking(False)
+            self._places.enter(_Silent(connection, address, self._places, self._hear))
+
+    def _hear(self, connection: socket.socket) -> None:
+        task = asyncio.get_running_loop().create_task(self._connect(connection))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def _connect(self, connection: socket.socket) -> None:
-        connection.setblocking(False)
         try:
             await asyncio.get_running_loop().connect_accepted_socket(self._make, connection)
         except OSError:
@@ -264,3 +278,32 @@ class Acceptor:
         loop = asyncio.get_running_loop()
         loop.remove_reader(self._listener.fileno())
         loop.call_later(_PAUSE_S, self.start)
+
+
+class _Silent:
+    """A connection that has said nothing yet."""
+
+    is_idle = True
+
+    def __init__(
+        self, connection: socket.socket, address: Any, places: Places, hear: Callable[[socket.socket], None]
+    ) -> None:
+        self.address = str(address[0]) if address else ""
+        self._connection, self._places, self._hear = connection, places, hear
+        self._loop = asyncio.get_running_loop()
+        self._timer = self._loop.call_later(places.limits.silence_s, self.cut)
+        self._loop.add_reader(connection.fileno(), self._begin)
+
+    def cut(self) -> None:
+        """Close it, without a word and without waiting."""
+        self._leave()
+        self._connection.close()
+
+    def _begin(self) -> None:
+        self._leave()
+        self._hear(self._connection)
+
+    def _leave(self) -> None:
+        self._timer.cancel()
+        self._loop.remove_reader(self._connection.fileno())
+        self._places.leave(self)

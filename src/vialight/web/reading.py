@@ -37,6 +37,7 @@ _GIB = 1 << 30
 _KEPT_RUNS = 2
 _MOST_KEPT_BYTES = 3 * _GIB
 """In memory between two requests; a process that has more ends, and is begun again."""
+_NO_LIMIT = 1 << 62
 _NICE = 5
 
 
@@ -148,29 +149,32 @@ def _told(reader: _Reader, request: dict[str, Any]) -> tuple[bytes, bytes]:
         return REFUSED, f"{run.name}: cannot be read ({text})".encode("utf-8", "replace")
     finally:
         _alarm_in(0.0)
+        _limit_memory(None)
 
 
 def _as_json(found: dict[str, Any] | list[Any]) -> bytes:
     return to_json(cast("dict[str, Any]", found)).encode("utf-8", "replace")
 
 
-def _limit_memory(more_bytes: int) -> None:
-    """Let the process have so much more than it has now."""
+def _limit_memory(more_bytes: int | None) -> None:
+    """Let the process have so much more than it has now; None: as much as it wants."""
     if sys.platform != "linux":
-        _Watch.limit_bytes = psutil.Process().memory_info().rss + more_bytes
+        _Watch.limit_bytes = _NO_LIMIT if more_bytes is None else psutil.Process().memory_info().rss + more_bytes
         return
     import resource
 
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    wanted = pages * os.sysconf("SC_PAGE_SIZE") + more_bytes
+    wanted = hard
+    if more_bytes is not None:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        wanted = pages * os.sysconf("SC_PAGE_SIZE") + more_bytes
     resource.setrlimit(resource.RLIMIT_AS, (wanted if hard < 0 else min(wanted, hard), hard))
 
 
 class _Watch:
     """Ends the process when it has more memory than it may, where the system does not."""
 
-    limit_bytes = 1 << 62
+    limit_bytes = _NO_LIMIT
 
     @classmethod
     def watch(cls) -> None:

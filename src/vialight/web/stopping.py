@@ -31,7 +31,7 @@ from vialight.web.orders import OrderDesk
 from vialight.web.runs import CannotTellError, cannot_tell, find_run
 
 _LOG = logging.getLogger("vialight.web")
-_LIMITS = Limits(strangers=64, of_one=64, inside=64, patience_s=3.0)
+_LIMITS = Limits(strangers=64, of_one=64, inside=64)
 _ANSWER_WITHIN_S = 10.0
 _HEAD_LIMIT_BYTES = 8192
 _SPARE_DESCRIPTORS = 12
