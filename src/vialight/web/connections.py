@@ -17,8 +17,11 @@ import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
+from vialight.errors import VialightError
+
+_T = TypeVar("_T")
 _LOG = logging.getLogger("vialight.web")
 _HANDFUL = 32
 """Connections accepted before those that are open are heard again."""
@@ -184,6 +187,16 @@ class Reserve:
             self.is_lent = False
             self.fill()
 
+    def spent_on(self, function: Callable[..., _T], *arguments: Any) -> _T:
+        """Do something, and where there are no descriptors for it, do it again with those held here."""
+        try:
+            return function(*arguments)
+        except (OSError, VialightError) as error:
+            if not is_out_of_descriptors(error):
+                raise
+        with self.lent():
+            return function(*arguments)
+
     def close(self) -> None:
         """Let go of all of them for good."""
         self._count = 0
@@ -247,7 +260,7 @@ class Acceptor:
         if self._reserve.is_lent:
             self._pause()
             return
-        for _ in range(_HANDFUL):
+        for count in range(_HANDFUL):
             try:
                 connection, address = self._listener.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
@@ -256,6 +269,8 @@ class Acceptor:
                 if error.errno not in _NO_DESCRIPTOR:
                     _LOG.warning("cannot accept connections: %s", error)
                     self._pause()
+                elif count:
+                    return  # perhaps nobody else has come; the system says this first
                 elif not self._places.cut_oldest_stranger() and not self._reserve.release(1):
                     self._pause()
                 return

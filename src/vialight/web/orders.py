@@ -9,7 +9,7 @@ from typing import Any
 
 from vialight.errors import InputError
 from vialight.links import send_order
-from vialight.web.connections import Reserve, is_out_of_descriptors
+from vialight.web.connections import Reserve
 from vialight.web.runs import Run, cannot_tell, find_print
 
 MODES = ("auto", "manual")
@@ -84,7 +84,7 @@ class OrderDesk:
         elif run.key in self._stopping:
             sent = self._stopping[run.key]
         else:
-            sent = loop.run_in_executor(self._stops, self._stop, run, order, by)
+            sent = loop.run_in_executor(self._stops, self._reserve.spent_on, _send, run, order, by)
             self._stopping[run.key] = sent
             sent.add_done_callback(lambda _: self._forget(run.key, sent))
         try:
@@ -97,15 +97,6 @@ class OrderDesk:
     def _forget(self, key: str, sent: asyncio.Future[dict[str, Any]]) -> None:
         if self._stopping.get(key) is sent:
             del self._stopping[key]
-
-    def _stop(self, run: Run, order: Mapping[str, Any], by: str) -> dict[str, Any]:
-        try:
-            return _send(run, order, by)
-        except InputError as error:
-            if not is_out_of_descriptors(error):
-                raise
-        with self._reserve.lent():
-            return _send(run, order, by)
 
 
 def _send(run: Run, order: Mapping[str, Any], by: str) -> dict[str, Any]:

@@ -65,8 +65,8 @@ class Readers:
         self._is_closed = False
 
     def start(self) -> None:
-        """Begin the first process, so that who asks first need not wait for it."""
-        self._idle.append(self._begin())
+        """Begin processes, so that who asks first, or while one is held up, need not wait for them to start."""
+        self._idle += [self._begin() for _ in range(_PROCESSES)]
 
     def close(self) -> None:
         """End all of them."""

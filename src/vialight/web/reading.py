@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import select
 import signal
 import struct
 import sys
@@ -38,6 +39,7 @@ _KEPT_RUNS = 2
 _MOST_KEPT_BYTES = 3 * _GIB
 """In memory between two requests; a process that has more ends, and is begun again."""
 _NO_LIMIT = 1 << 62
+_IDLE_S = 0.5
 _NICE = 5
 
 
@@ -192,6 +194,9 @@ def _alarm_in(seconds: float) -> None:
 
 def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
     reader = _Reader()
+    if not select.select([requests], [], [], _IDLE_S)[0]:
+        for name in ("data", "thumbnails"):  # nobody waits: what takes a second is done before someone does
+            importlib.import_module(f"vialight.web.{name}")
     for line in requests:
         kind, content = _told(reader, json.loads(line))
         answers.write(HEAD.pack(kind, len(content)))

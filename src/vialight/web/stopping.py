@@ -76,7 +76,7 @@ class StopListener:
             if asked.method != "POST":
                 return 405, {"error": "takes POST only"}
             found = _PRESS.fullmatch(path)
-            run = await asyncio.to_thread(find_run, self.root, found[1]) if found else None
+            run = await asyncio.to_thread(self.reserve.spent_on, find_run, self.root, found[1]) if found else None
             if run is None:
                 return 404, {"error": "no such run"}
             return 200, await self.desk.obey(run, {"do": "stop"}, f"page at {asked.client}")
