@@ -222,7 +222,8 @@ def test_a_reader_that_hangs_is_ended_told_of_its_run_and_not_tried_again_at_onc
         ("surface.stl", "files/surface.stl"), ("report.html", "report"), ("log.jsonl", "files/log.jsonl"),
         ("log.jsonl", "log/0"), ("reference.stl", "reference"), ("reference.stl", "files/reference.stl"),
         ("surfaces/000001.ply", "surfaces/1"), ("history/000001.npz", "moments/1"), ("frames.h5", "moments/1/camera"),
-        ("projector.csv", "moments/1/pattern"), ("volume.zarr/zarr.json", "slices/0/0/0"), ("run.json", "files/run.json"),
+        ("projector.csv", "moments/1/pattern"), ("volume.zarr/zarr.json", "slices/0/0/0"),
+        ("run.json", "files/run.json"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("is_folder", [False, True])
@@ -290,12 +291,12 @@ def test_a_run_that_says_that_it_prints_and_does_not_is_interrupted(shelf: Shelf
     bad = shelf.bad()
     (bad / "run.json").write_text('{"state": "printing"}')
     assert shelf.listed()["bad"]["state"] == "interrupted"
-    for link in ({"pid": 0}, {"pid": 2**22 + 7}, {"process": {"pid": 1}}, [], {}):
-        told = {"mailboxes": str(bad), "control": "", "key": ""}
-        (bad / "live.json").write_text(json.dumps(told | link if isinstance(link, dict) else link))
-        if link != {"pid": 0}:  # which is for the links to disbelieve
-            assert shelf.listed()["bad"]["state"] == "interrupted", link
-            assert shelf.ask("bad").json["state"] == "interrupted"
+    for process in (2**22 + 7, -1, "1", None):
+        link = {"pid": process, "mailboxes": str(bad), "control": "", "key": ""}
+        for told in (link, [link], {"process": link}):
+            (bad / "live.json").write_text(json.dumps(told))
+            assert shelf.listed()["bad"]["state"] == "interrupted", told
+    assert shelf.ask("bad").json["state"] == "interrupted"
 
 
 def test_a_long_log_is_told_in_parts_and_only_what_is_new_is_read(shelf: Shelf) -> None:

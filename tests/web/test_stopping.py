@@ -148,7 +148,7 @@ def test_a_slow_press_is_not_waited_for(stoppable: Stoppable) -> None:
 
 def test_stop_goes_through_when_its_process_has_no_descriptor_left_but_those_in_reserve(stoppable: Stoppable) -> None:
     process = stoppable.process
-    held = {int(name) for name in os.listdir(f"/proc/{process.pid}/fd")}
+    held = {int(path.name) for path in Path(f"/proc/{process.pid}/fd").iterdir()}
     assert held == set(range(len(held)))  # so that a limit of their count leaves none
     psutil.Process(process.pid).rlimit(psutil.RLIMIT_NOFILE, (len(held), len(held)))
     for _ in range(2):
@@ -180,7 +180,10 @@ def test_the_page_is_told_stops_port_and_may_connect_to_exactly_that(stoppable: 
 
 @pytest.mark.parametrize(
     "fault",
-    [OSError(errno.EMFILE, "Too many open files"), PermissionError(errno.EACCES, "denied"), TimeoutError(), VialightError("?")],
+    [
+        OSError(errno.EMFILE, "Too many open files"), PermissionError(errno.EACCES, "denied"), TimeoutError(),
+        VialightError("?"),
+    ],
 )  # fmt: skip
 def test_what_cannot_be_told_is_never_told_as_not_running(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception
@@ -193,7 +196,7 @@ def test_what_cannot_be_told_is_never_told_as_not_running(
         raise fault
 
     monkeypatch.setattr(runs, "find_live_print", find)
-    with pytest.raises(CannotTellError, match="cannot tell whether it is running.*use the switch on the machine"):
+    with pytest.raises(CannotTellError, match=r"cannot tell whether it is running.*use the switch on the machine"):
         press(Run.of(run))
 
 
