@@ -137,8 +137,8 @@ class Readers:
         request = {
             "key": run.key, "name": run.name, "folder": str(run.folder), "what": what, "arguments": arguments,
         }  # fmt: skip
-        limit_s = LIMITS[what].time_s
-        watchdog = loop.call_later(limit_s + _GRACE_S + (0 if process.is_started else _START_S), process.kill)
+        limit = LIMITS[what]
+        watchdog = loop.call_later(limit.by_clock_s + _GRACE_S + (0 if process.is_started else _START_S), process.kill)
         try:
             kind, content = await loop.run_in_executor(self._threads, process.ask, request)
         except (OSError, EOFError, ValueError) as error:
@@ -146,7 +146,7 @@ class Readers:
             process.kill()
             if not self._is_closed:
                 self._idle.append(self._begin())
-            why = f"cannot be read: it took more than {limit_s:g} s, or more memory than it may"
+            why = f"cannot be read: it took more than {limit.time_s:g} s, or more memory than it may, or hung"
             if len(self._faults) > _MOST_REMEMBERED:
                 self._faults.clear()
             self._faults[run.key, what] = time.monotonic() + _NOT_AGAIN_FOR_S, why

@@ -40,14 +40,20 @@ _MOST_KEPT_BYTES = 3 * _GIB
 """In memory between two requests; a process that has more ends, and is begun again."""
 _NO_LIMIT = 1 << 62
 _IDLE_S = 0.5
+_WAITS = 3
 _NICE = 5
 
 
 class Limit(NamedTuple):
-    """What a request may take."""
+    """What a request may take: so much of a processor's time, a few times that by the clock, so much memory."""
 
     time_s: float
     memory_bytes: int
+
+    @property
+    def by_clock_s(self) -> float:
+        """For as long it may wait, for a disk or for its turn on a busy machine."""
+        return _WAITS * self.time_s
 
 
 _LIGHT, _HEAVY = Limit(2.0, _GIB // 4), Limit(8.0, _GIB)
@@ -136,7 +142,7 @@ def _told(reader: _Reader, request: dict[str, Any]) -> tuple[bytes, bytes]:
     limit = LIMITS[what]
     reader.prepare(run, what)
     _limit_memory(limit.memory_bytes)
-    _alarm_in(limit.time_s)
+    _alarm_in(limit.time_s, limit.by_clock_s)
     try:
         found = reader.answer(run, what, request["arguments"])
         if found is None:
@@ -150,7 +156,7 @@ def _told(reader: _Reader, request: dict[str, Any]) -> tuple[bytes, bytes]:
         text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         return REFUSED, f"{run.name}: cannot be read ({text})".encode("utf-8", "replace")
     finally:
-        _alarm_in(0.0)
+        _alarm_in(0.0, 0.0)
         _limit_memory(None)
 
 
@@ -186,10 +192,11 @@ class _Watch:
         os._exit(3)
 
 
-def _alarm_in(seconds: float) -> None:
+def _alarm_in(processor_s: float, by_clock_s: float) -> None:
     """Have the system end this process after a time, whatever it is doing then; never where that is 0."""
     if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_REAL, seconds)
+        signal.setitimer(signal.ITIMER_PROF, processor_s)
+        signal.setitimer(signal.ITIMER_REAL, by_clock_s)
 
 
 def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
