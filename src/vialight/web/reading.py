@@ -41,7 +41,6 @@ _MOST_KEPT_BYTES = 3 * _GIB
 _NO_LIMIT = 1 << 62
 _IDLE_S = 0.5
 _WAITS = 3
-_NICE = 5
 
 
 class Limit(NamedTuple):
@@ -215,8 +214,6 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
 
 def _main() -> None:
     leave_interrupts_to_the_print()
-    if hasattr(os, "nice"):
-        os.nice(_NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     if sys.platform != "linux":
