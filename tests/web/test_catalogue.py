@@ -11,7 +11,8 @@ import pytest
 from vialight.config import Rig
 from vialight.report.colours import _STOPS
 from vialight.web.app import static_files
-from vialight.web.catalogue import Catalogue, camera_overlay, log_lines, overview
+from vialight.web.catalogue import Catalogue, camera_overlay, overview
+from vialight.web.run_log import log_lines
 from vialight.web.tokens import token_for
 
 

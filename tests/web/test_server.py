@@ -277,7 +277,7 @@ def test_a_print_that_was_killed_is_no_longer_live(tmp_path: Path) -> None:
             until(socket, lambda told: bool(told["live"]))
             printing.kill()
             until(socket, lambda told: not told["live"])
-        assert client.ask(f"/api/runs/{run['key']}").json["state"] == "printing"  # what it last said of itself
+        assert client.ask(f"/api/runs/{run['key']}").json["state"] == "interrupted"
 
 
 def test_pages_stay_let_in_when_the_server_is_started_again(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from importlib.resources.abc import Traversable
 from typing import Any, TypeVar
 
 from starlette.applications import Starlette
+from starlette.convertors import Convertor, register_url_convertor
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
@@ -22,12 +23,14 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from vialight.errors import InputError
-from vialight.web.access import Access, Gate
-from vialight.web.catalogue import DOWNLOADS, Catalogue, Run, log_lines, overview, summary
-from vialight.web.data import RunData
+from vialight.web.access import Access
+from vialight.web.catalogue import DOWNLOADS, Catalogue, unreadable, with_state
+from vialight.web.gate import Gate, let_in
 from vialight.web.orders import OrderDesk, check_order
+from vialight.web.readers import CannotBeReadError, Readers, Told
+from vialight.web.runs import CannotTellError, Run, find_print, own_file
+from vialight.web.slices import LiveSlices
 from vialight.web.sockets import MOST_SOCKETS, refuse_socket, serve_socket
-from vialight.web.thumbnails import thumbnail
 from vialight.web.timelapses import TimeLapses
 from vialight.web.watching import CHANNELS, RunWatch
 
@@ -42,7 +45,24 @@ _REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; 
 """A report has its style inside; it needs no script, and gets none even if one had found its way in."""
 _BINARY = "application/octet-stream"
 _KEPT_IDLE = 3
-"""Runs without a page whose content is still kept."""
+"""Runs without a page whose newest pictures are still kept."""
+_LIST_WITHIN_S = 3.0
+"""For the list of runs; what is not read by then is told to be missing."""
+
+
+class _Number(Convertor[int]):
+    """A number in an address: of so many digits that it can be one of ours."""
+
+    regex = "[0-9]{1,9}"
+
+    def convert(self, value: str) -> int:
+        return int(value)
+
+    def to_string(self, value: int) -> str:
+        return str(value)
+
+
+register_url_convertor("number", _Number())
 
 
 def static_files() -> dict[str, tuple[bytes, str]]:
@@ -66,8 +86,8 @@ def static_files() -> dict[str, tuple[bytes, str]]:
 class _Shown:
     """A run with what is kept of it."""
 
-    data: RunData
     watch: RunWatch
+    slices: LiveSlices
     sockets: int = 0
 
 
@@ -87,7 +107,11 @@ class PageServer:
     access: Access
     desk: OrderDesk = field(default_factory=OrderDesk)
     timelapses: TimeLapses = field(default_factory=TimeLapses)
+    readers: Readers = field(default_factory=Readers)
     workers: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(2, "page"))
+    """For what is published by prints that run; what lies in folders is for `readers`."""
+    looking: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(2, "look"))
+    """For which folders and files there are, and which of them are linked to a print that runs."""
     _shown: dict[str, _Shown] = field(default_factory=dict)
 
     def app(self) -> ASGIApp:
@@ -106,13 +130,13 @@ class PageServer:
             Route("/api/session", self.open_session, methods=["POST"]),
             Route("/api/runs", self.list_runs, methods=["GET"]),
             Route(of_run, self.show_run, methods=["GET"]),
-            Route(of_run + "/curves/{start:int}", self.show_curves, methods=["GET"]),
-            Route(of_run + "/log/{start:int}", self.show_log, methods=["GET"]),
-            Route(of_run + "/moments/{number:int}", self.show_moment, methods=["GET"]),
-            Route(of_run + "/moments/{number:int}/camera", self.show_recorded_picture, methods=["GET"]),
-            Route(of_run + "/moments/{number:int}/pattern", self.show_recorded_pattern, methods=["GET"]),
-            Route(of_run + "/slices/{x:int}/{y:int}/{z:int}", self.show_slices, methods=["GET"]),
-            Route(of_run + "/surfaces/{number:int}", self.show_surface, methods=["GET"]),
+            Route(of_run + "/curves/{start:number}", self.show_curves, methods=["GET"]),
+            Route(of_run + "/log/{start:number}", self.show_log, methods=["GET"]),
+            Route(of_run + "/moments/{number:number}", self.show_moment, methods=["GET"]),
+            Route(of_run + "/moments/{number:number}/camera", self.show_recorded_picture, methods=["GET"]),
+            Route(of_run + "/moments/{number:number}/pattern", self.show_recorded_pattern, methods=["GET"]),
+            Route(of_run + "/slices/{x:number}/{y:number}/{z:number}", self.show_slices, methods=["GET"]),
+            Route(of_run + "/surfaces/{number:number}", self.show_surface, methods=["GET"]),
             Route(of_run + "/reference", self.show_reference, methods=["GET"]),
             Route(of_run + "/reference-sums", self.show_reference_sums, methods=["GET"]),
             Route(of_run + "/thumbnail", self.show_thumbnail, methods=["GET"]),
@@ -125,21 +149,29 @@ class PageServer:
             Route(of_run + "/stop", self.take_stop, methods=["POST"]),
             WebSocketRoute("/ws/{run}/{channel}", self.open_socket),
         ]
-        handlers: dict[Any, Any] = {InputError: _tell_input_error, HTTPException: _tell_http_error}
+        handlers: dict[Any, Any] = {
+            InputError: _tell_input_error,
+            CannotTellError: _tell_for_want,
+            CannotBeReadError: _tell_for_want,
+            HTTPException: _tell_http_error,
+        }
         inner = Starlette(routes=routes, exception_handlers=handlers, lifespan=self._lifespan)
         return Gate(inner, self.access, lambda method, path: (method, path) in public)
 
     @asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        self.readers.start()
         yield
         for shown in self._shown.values():
             await shown.watch.stop()
         self.desk.close()
         self.timelapses.close()
+        self.readers.close()
         self.workers.shutdown(wait=False)
+        self.looking.shutdown(wait=False)
 
-    async def _do(self, function: Callable[..., _T], *arguments: Any) -> _T:
-        return await asyncio.get_running_loop().run_in_executor(self.workers, function, *arguments)
+    async def _look(self, function: Callable[..., _T], *arguments: Any) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(self.looking, function, *arguments)
 
     def _run(self, request: Request | WebSocket) -> Run:
         run = self.catalogue.get(request.path_params["run"])
@@ -150,14 +182,15 @@ class PageServer:
     def _of(self, run: Run) -> _Shown:
         if run.key not in self._shown:
             for key in [key for key, shown in self._shown.items() if not shown.sockets][:-_KEPT_IDLE]:
-                del self._shown[key]  # patterns and meshes of runs that nobody looks at any more
-            data = RunData(run)
-            self._shown[run.key] = _Shown(data, RunWatch(data, self.workers))
+                del self._shown[key]
+            watch = RunWatch(run, self.readers, self.workers, self.looking)
+            self._shown[run.key] = _Shown(watch, LiveSlices())
         return self._shown[run.key]
 
     async def ask_session(self, request: Request) -> Response:
         """Say that the page is let in: otherwise the gate has answered."""
-        return JSONResponse({"name": self.catalogue.root.name, "single": self.catalogue.is_single})
+        told = {"name": self.catalogue.root.name, "single": self.catalogue.is_single}
+        return JSONResponse(told | {"stop_port": self.access.stop_port})
 
     async def open_session(self, request: Request) -> Response:
         """Take the token and give a cookie."""
@@ -172,6 +205,7 @@ class PageServer:
         if not self.access.is_token(token):
             self.access.limit.fail(address)
             return _error(401, "wrong token")
+        let_in(request.scope)
         response = Response(status_code=204)
         response.set_cookie(
             self.access.cookie_name, self.access.cookie_value, httponly=True, samesite="strict", path="/",
@@ -181,64 +215,96 @@ class PageServer:
 
     async def list_runs(self, request: Request) -> Response:
         """List the runs, newest first."""
-        return JSONResponse(await self._do(lambda: [overview(run) for run in self.catalogue.refresh()]))
+        runs = await self._look(self.catalogue.refresh)
+        asked = {run.key: asyncio.create_task(self._overview(run)) for run in runs}
+        if asked:
+            await asyncio.wait(asked.values(), timeout=_LIST_WITHIN_S)
+        told = [
+            task.result() if (task := asked[run.key]).done() else unreadable(run, "is still being read")
+            for run in runs
+        ]  # fmt: skip
+        return JSONResponse(told)
+
+    async def _overview(self, run: Run) -> dict[str, Any]:
+        try:
+            told = (await self.readers.ask(run, "overview")).value
+        except InputError as error:
+            told = unreadable(run, _without_paths(str(error)))
+        return await self._with_state(run, told)
+
+    async def _with_state(self, run: Run, told: dict[str, Any]) -> dict[str, Any]:
+        try:
+            is_live = await self._look(find_print, run) is not None
+        except CannotTellError:
+            is_live = None
+        return with_state(told, is_live=is_live)
 
     async def show_run(self, request: Request) -> Response:
         """Tell what a run is."""
-        return JSONResponse(await self._do(summary, self._run(request)))
+        run = self._run(request)
+        return JSONResponse(await self._with_state(run, (await self.readers.ask(run, "summary")).value))
 
     async def show_curves(self, request: Request) -> Response:
         """Tell the numbers of a run's moments."""
-        data = self._of(self._run(request)).data
-        return JSONResponse(await self._do(data.curves, request.path_params["start"]))
+        return await self._read(request, "curves", request.path_params["start"])
 
     async def show_log(self, request: Request) -> Response:
         """Tell the run's log from an event on."""
-        return JSONResponse(await self._do(log_lines, self._run(request), request.path_params["start"]))
+        return await self._read(request, "log", request.path_params["start"])
 
     async def show_moment(self, request: Request) -> Response:
         """Give the pictures of a moment."""
-        data = self._of(self._run(request)).data
-        return Response(await self._do(data.moment, request.path_params["number"]), media_type=_BINARY)
+        return await self._read(request, "moment", request.path_params["number"])
 
     async def show_recorded_picture(self, request: Request) -> Response:
         """Give the camera's picture of a moment."""
-        data = self._of(self._run(request)).data
-        return _bytes_or_404(await self._do(data.recorded_picture, request.path_params["number"]))
+        return await self._read(request, "recorded_picture", request.path_params["number"])
 
     async def show_recorded_pattern(self, request: Request) -> Response:
         """Give what was projected at a moment."""
-        data = self._of(self._run(request)).data
-        return _bytes_or_404(await self._do(data.recorded_pattern, request.path_params["number"]))
+        return await self._read(request, "recorded_pattern", request.path_params["number"])
 
     async def show_slices(self, request: Request) -> Response:
         """Give the slices at thousandths of the volume's extent."""
-        slices = self._of(self._run(request)).data.slices
-        place = (request.path_params[name] for name in "xyz")
-        return Response(await self._do(slices.at, *place), media_type=_BINARY)
+        run = self._run(request)
+        place = [request.path_params[name] for name in "xyz"]
+        link = await self._look(find_print, run)
+        if link is None:
+            return await self._read(request, "slices", *place)
+        slices = self._of(run).slices
+        cut = asyncio.get_running_loop().run_in_executor(self.workers, slices.at, link, *place)
+        return Response(await cut, media_type=_BINARY)
 
     async def show_surface(self, request: Request) -> Response:
         """Give a surface of the history."""
-        data = self._of(self._run(request)).data
-        return Response(await self._do(data.surface, request.path_params["number"]), media_type=_BINARY)
+        return await self._read(request, "surface", request.path_params["number"])
 
     async def show_reference(self, request: Request) -> Response:
         """Give the surface that is meant."""
-        return _bytes_or_404(await self._do(self._of(self._run(request)).data.reference_surface))
+        return await self._read(request, "reference")
 
     async def show_reference_sums(self, request: Request) -> Response:
         """Give the reference's projections."""
-        return _bytes_or_404(await self._do(self._of(self._run(request)).data.reference_sums))
+        return await self._read(request, "reference_sums")
 
     async def show_thumbnail(self, request: Request) -> Response:
         """Give a small picture of the print."""
-        picture = await self._do(thumbnail, self._run(request))
-        return _bytes_or_404(picture, "image/png")
+        try:
+            is_live = await self._look(find_print, self._run(request)) is not None
+        except CannotTellError:
+            is_live = True
+        return await self._read(request, "thumbnail", is_live, kind="image/png")
+
+    async def _read(self, request: Request, what: str, *arguments: Any, kind: str = _BINARY) -> Response:
+        told: Told = await self.readers.ask(self._run(request), what, *arguments)
+        if told.content is None:
+            raise HTTPException(404, "there is none")
+        return Response(told.content, media_type="application/json" if told.is_json else kind)
 
     async def show_report(self, request: Request) -> Response:
         """Give the finished print's report, as a page that may do nothing."""
-        path = self._run(request).folder / DOWNLOADS["report.html"][0]
-        if not path.is_file():
+        path = await self._look(own_file, self._run(request).folder, DOWNLOADS["report.html"][0])
+        if path is None:
             raise HTTPException(404, "there is no report yet")
         return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": _REPORT_POLICY})
 
@@ -246,10 +312,11 @@ class PageServer:
         """Give a file of the run, one of those that there are names for."""
         run = self._run(request)
         file, kind = DOWNLOADS.get(request.path_params["name"], ("", ""))
-        if not file or not (run.folder / file).is_file():
+        path = await self._look(own_file, run.folder, file) if file else None
+        if path is None:
             raise HTTPException(404, "no such file")
         name = f"{run.name}-{file}"
-        return FileResponse(run.folder / file, media_type=kind, filename=name, content_disposition_type="attachment")
+        return FileResponse(path, media_type=kind, filename=name, content_disposition_type="attachment")
 
     async def ask_timelapse(self, request: Request) -> Response:
         """Tell how far the time-lapse is."""
@@ -307,18 +374,16 @@ async def _json_of(request: Request) -> Any:
         return None
 
 
-def _bytes_or_404(content: bytes | None, kind: str = _BINARY) -> Response:
-    if content is None:
-        raise HTTPException(404, "there is none")
-    return Response(content, media_type=kind)
-
-
 def _error(status: int, why: str, headers: dict[str, str] | None = None) -> Response:
     return JSONResponse({"error": why}, status, headers)
 
 
 async def _tell_input_error(request: Request, error: Exception) -> Response:
     return _error(409 if request.method == "POST" else 404, _without_paths(str(error)))
+
+
+async def _tell_for_want(request: Request, error: Exception) -> Response:
+    return _error(503, _without_paths(str(error)))
 
 
 async def _tell_http_error(request: Request, error: Exception) -> Response:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
+import stat
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from vialight.config import Rig, load_rig
 from vialight.errors import InputError
-from vialight.links import find_live_print
-from vialight.store import list_history, list_surfaces, read_json
+from vialight.store import list_history, list_surfaces
 from vialight.viewing import vial_edge_columns
+from vialight.web.facts import Facts
+from vialight.web.runs import Run, changed_at, is_run, own_file, runs_in
 
-_MARKS = ("run.json", "live.json", "frames.h5", "history", "reconstruction.json")
 _MOST_RUNS = 500
+_UNFINISHED = {"preflight", "background", "printing", "dark", "after", "finishing"}
+"""States that a run is left in by a print that did not come to its end."""
+_MOST_RIG_BYTES = 1_000_000
 
 DOWNLOADS: Mapping[str, tuple[str, str]] = {
     "surface.stl": ("surface.stl", "model/stl"),
@@ -31,16 +32,6 @@ DOWNLOADS: Mapping[str, tuple[str, str]] = {
     "report.html": ("report.html", "text/html"),
 }
 """What can be fetched of a run: name in the address to file and media type."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run's folder under a name of ours."""
-
-    key: str
-    """What addresses call it: of letters and digits."""
-    name: str
-    folder: Path
 
 
 class Catalogue:
@@ -61,15 +52,14 @@ class Catalogue:
         self.root = Path(root).resolve()
         if not self.root.is_dir():
             raise InputError(root, "there is no such folder", accepted="a run's folder, or a folder of runs")
-        self.is_single = _is_run(self.root)
+        self.is_single = is_run(self.root)
         self._by_key: dict[str, Run] = {}
         self.refresh()
 
     def refresh(self) -> list[Run]:
         """Look again; newest first."""
-        folders = [self.root] if self.is_single else [item for item in self.root.iterdir() if _is_run(item)]
-        newest = sorted(folders, key=_changed, reverse=True)[:_MOST_RUNS]
-        runs = [Run(hashlib.sha256(folder.name.encode()).hexdigest()[:12], folder.name, folder) for folder in newest]
+        folders = [self.root] if self.is_single else list(runs_in(self.root))
+        runs = [Run.of(folder) for folder in sorted(folders, key=changed_at, reverse=True)[:_MOST_RUNS]]
         self._by_key = {run.key: run for run in runs}
         return runs
 
@@ -78,47 +68,81 @@ class Catalogue:
         return self._by_key.get(key)
 
 
-def _is_run(folder: Path) -> bool:
-    return not folder.name.startswith(".") and folder.is_dir() and any((folder / mark).exists() for mark in _MARKS)
-
-
-def _changed(folder: Path) -> float:
-    times = [path.stat().st_mtime for mark in ("run.json", "live.json") if (path := folder / mark).exists()]
-    return max(times, default=folder.stat().st_mtime)
+def unreadable(run: Run, why: str) -> dict[str, Any]:
+    """Return what the list shows of a run that cannot be read: that it is there, and why it is not shown."""
+    return {
+        "key": run.key, "name": run.name, "part": None, "started": _moment(changed_at(run.folder)),
+        "state": "unreadable", "fault": why, "rmse_mm": None, "iou": None, "passed": None, "has_thumbnail": False,
+    }  # fmt: skip
 
 
 def overview(run: Run) -> dict[str, Any]:
-    """Return what the list of runs shows of one."""
-    facts = _json(run.folder / "run.json")
-    metrics = _json(run.folder / "metrics.json")
-    placed = metrics.get("as_placed") or {}
-    return {
-        "key": run.key,
-        "name": run.name,
+    """Return what the list of runs shows of one, but for whether it is printing."""
+    facts, metrics = Facts(run, "run.json"), Facts(run, "metrics.json")
+    placed = metrics.table("as_placed")
+    told = unreadable(run, "") | {
         "part": _part(facts),
-        "started": facts.get("started") or datetime.fromtimestamp(_changed(run.folder), UTC).isoformat(),
-        "state": "printing" if find_live_print(run.folder) else str(facts.get("state", "done" if facts else "unknown")),
-        "rmse_mm": placed.get("rmse_mm"),
-        "iou": placed.get("iou"),
-        "passed": (metrics.get("tolerance") or {}).get("passed"),
-        "has_thumbnail": bool(list_surfaces(run.folder) or list_history(run.folder)),
+        "started": facts.moment("started") or _moment(changed_at(run.folder)),
+        "state": facts.text("state") or ("done" if facts else "unknown"),
+        "rmse_mm": placed.number("rmse_mm"),
+        "iou": placed.number("iou"),
+        "passed": metrics.table("tolerance").truth("passed"),
+        "has_thumbnail": bool(surfaces_of(run.folder) or history_of(run.folder)),
     }
+    faults = facts.faults + metrics.faults
+    return told | {"fault": "; ".join(faults[:3]) or None}
 
 
 def summary(run: Run) -> dict[str, Any]:
     """Return what the page of one run needs beside its live state and its history."""
-    facts = _json(run.folder / "run.json")
-    metrics = _json(run.folder / "metrics.json")
+    facts, metrics = Facts(run, "run.json"), Facts(run, "metrics.json")
     rig = _rig(run)
     return overview(run) | {
-        "files": [name for name, (file, _) in DOWNLOADS.items() if (run.folder / file).is_file()],
-        "surfaces": len(list_surfaces(run.folder)),
-        "printed": facts["printed"] if isinstance(facts.get("printed"), dict) else {},
-        "metrics": {name: metrics[name] for name in ("as_placed", "aligned") if isinstance(metrics.get(name), dict)},
+        "files": [name for name, (file, _) in DOWNLOADS.items() if own_file(run.folder, file)],
+        "surfaces": len(surfaces_of(run.folder)),
+        "printed": facts.table("printed").plain(),
+        "metrics": {name: metrics.table(name).plain() for name in ("as_placed", "aligned") if name in metrics},
         "camera": None if rig is None else camera_overlay(rig),
         "projector": None if rig is None else _canvas(rig),
         "speed_deg_s": None if rig is None else rig.stage.speed_deg_s,
     }
+
+
+def with_state(told: dict[str, Any], *, is_live: bool | None) -> dict[str, Any]:
+    """Add what a run's own files cannot be believed about: whether it is printing; None where that cannot be told.
+
+    Examples
+    --------
+    >>> [with_state({"state": "printing"}, is_live=live)["state"] for live in (True, False, None)]
+    ['printing', 'interrupted', 'uncertain']
+    >>> with_state({"state": "done"}, is_live=False)["state"]
+    'done'
+    """
+    if is_live:
+        return told | {"state": "printing"}
+    if told["state"] not in _UNFINISHED:
+        return told
+    return told | {"state": "interrupted" if is_live is False else "uncertain"}
+
+
+def history_of(folder: Path) -> list[int]:
+    """Return the numbers of the moments in a run's own history."""
+    return list_history(folder) if _is_own(folder, "history") else []
+
+
+def surfaces_of(folder: Path) -> list[int]:
+    """Return the numbers of the surfaces that a run holds as its own."""
+    return list_surfaces(folder) if _is_own(folder, "surfaces") else []
+
+
+def _is_own(folder: Path, name: str) -> bool:
+    with contextlib.suppress(OSError):
+        return stat.S_ISDIR((folder / name).lstat().st_mode)
+    return False
+
+
+def _moment(time_s: float) -> str:
+    return datetime.fromtimestamp(time_s, UTC).isoformat()
 
 
 def camera_overlay(rig: Rig) -> dict[str, Any] | None:
@@ -149,41 +173,27 @@ def _canvas(rig: Rig) -> dict[str, Any] | None:
 
 
 def _rig(run: Run) -> Rig | None:
-    with contextlib.suppress(InputError):
-        return load_rig(run.folder / "rig.toml")
+    path = own_file(run.folder, "rig.toml", most_bytes=_MOST_RIG_BYTES)
+    with contextlib.suppress(InputError, RecursionError, ValueError):
+        return None if path is None else load_rig(path)
     return None
 
 
-def _part(facts: Mapping[str, Any]) -> str | None:
-    if isinstance(facts.get("name"), str):
-        return str(facts["name"])
-    inputs = facts.get("inputs")
-    if not isinstance(inputs, dict):
-        return None
+def _part(facts: Facts) -> str | None:
+    name = facts.text("name")
+    if name is not None:
+        return name
+    inputs = facts.table("inputs")
     for role in ("part", "reference", "plan"):
-        given = inputs.get(role)
-        if isinstance(given, dict) and isinstance(given.get("file"), str):
-            return str(given["file"])
+        if role in inputs and (file := inputs.table(role).text("file")) is not None:
+            return file
     return None
 
 
-def _json(path: Path) -> dict[str, Any]:
-    with contextlib.suppress(InputError):
-        return read_json(path)
-    return {}
-
-
-def log_lines(run: Run, start: int) -> list[dict[str, Any]]:
-    """Return the run's log from an event on; a line that is not whole yet is left for later."""
-    with contextlib.suppress(OSError):
-        lines = (run.folder / "log.jsonl").read_bytes().split(b"\n")[:-1]
-        return [_event(line) for line in lines[start:]]
-    return []
-
-
-def _event(line: bytes) -> dict[str, Any]:
-    with contextlib.suppress(ValueError):
-        event = json.loads(line)
-        if isinstance(event, dict):
-            return event
-    return {"event": "a line that cannot be read"}
+def run_changed(folder: Path) -> str:
+    """Return a text that changes when a run's results do."""
+    marks = []
+    for name in ("run.json", "metrics.json", "report.html", "reference.stl", "rig.toml"):
+        with contextlib.suppress(OSError):
+            marks.append(f"{name}{(folder / name).lstat().st_mtime_ns}")
+    return "-".join(marks)

@@ -1,44 +1,49 @@
-"""What a run's folder holds, as messages for the page; read when asked for, and kept where that is dear."""
+"""What a run's folder holds, as messages for the page; read when asked for, and kept where that is dear.
+
+All of it runs in processes apart from the server (see `vialight.web.reading`), since a folder may come from anywhere.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import math
-import threading
+import time
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vialight.errors import InputError
-from vialight.links import CameraImage, Snapshot, SurfaceSnapshot
 from vialight.mesh import Mesh, load_mesh
 from vialight.plan import Patterns
 from vialight.store import (
     HistoryNumbers,
-    list_history,
-    list_surfaces,
     read_history,
     read_history_numbers,
     read_plan,
     read_surface,
 )
-from vialight.web.catalogue import Run
-from vialight.web.encoding import images_of, pack, pack_surface, to_levels
+from vialight.web.catalogue import history_of, surfaces_of
+from vialight.web.encoding import images_of, pack, pack_surface
+from vialight.web.live_pictures import WIDEST, LivePictures
 from vialight.web.recorded import pattern_shown, recorded_image
 from vialight.web.reference import ReferenceSums, ViewGrid, reference_sums
-from vialight.web.slices import Slices
+from vialight.web.runs import Run, own_file
+from vialight.web.slices import FinalSlices
 
-_WIDEST = 640
-"""Columns of a picture of camera or projector as it is shown; more are averaged."""
 _GHOST_FACES = 60_000
 """Enough for what is only hinted at."""
+_ROWS_AT_ONCE = 1000
+_ROWS_WITHIN_S = 1.0
+"""For reading rows that nobody has asked for before; the page asks for the rest."""
+_MOST_ARCHIVE_BYTES = 256_000_000
+_MOST_SURFACE_BYTES = 1_000_000_000
+_MOST_TABLE_BYTES = 256_000_000
 
 
 class RunData:
-    """A run's content as the page wants it; every method may be called from any thread.
+    """A run's content as the page wants it.
 
     Parameters
     ----------
@@ -48,22 +53,25 @@ class RunData:
 
     def __init__(self, run: Run) -> None:
         self.run = run
-        self.slices = Slices(run.folder)
-        self._lock = threading.RLock()
-        self._reference: Mesh | None = None
-        self._sums: tuple[ViewGrid, ReferenceSums] | None = None
+        self.slices = FinalSlices(run.folder)
+        self._pictures = LivePictures()
+        self._reference: tuple[int, Mesh] | None = None
+        self._sums: tuple[int, ViewGrid, ReferenceSums] | None = None
         self._numbers: dict[int, HistoryNumbers] = {}
         self._patterns: tuple[Patterns, int] | None = None
         self._has_no_plan = False
-        self._white = 1.0
 
     def reference(self) -> Mesh | None:
         """Return the mesh that is meant; None where the run does not hold it."""
-        with self._lock:
-            if self._reference is None:
-                with contextlib.suppress(InputError):
-                    self._reference = load_mesh(self.run.folder / "reference.stl")
-            return self._reference
+        path = own_file(self.run.folder, "reference.stl", most_bytes=_MOST_SURFACE_BYTES)
+        if path is None:
+            return None
+        changed = path.stat().st_mtime_ns
+        if self._reference is None or self._reference[0] != changed:
+            self._reference = None
+            with contextlib.suppress(InputError):
+                self._reference = changed, load_mesh(path)
+        return self._reference[1] if self._reference else None
 
     def reference_surface(self) -> bytes | None:
         """Return the reference as a message of the kind ``ghost``."""
@@ -76,43 +84,53 @@ class RunData:
         """Return the reference's sum projections on a grid, by default that of the newest moment."""
         mesh = self.reference()
         grid = grid or self._newest_grid()
-        if mesh is None or grid is None:
+        if mesh is None or grid is None or self._reference is None:
             return None
-        with self._lock:
-            if self._sums is None or self._sums[0] != grid:
-                self._sums = grid, reference_sums(mesh, grid)
-            sums = self._sums[1]
+        changed = self._reference[0]
+        if self._sums is None or self._sums[:2] != (changed, grid):
+            self._sums = changed, grid, reference_sums(mesh, grid)
         header = {"kind": "reference", "voxel_mm": grid.voxel_mm, "centre_z_mm": grid.centre_z_mm}
-        return pack(header, images_of("reference", sums))
+        return pack(header, images_of("reference", self._sums[2]))
 
     def _newest_grid(self) -> ViewGrid | None:
-        numbers = list_history(self.run.folder)
+        numbers = history_of(self.run.folder)
         if not numbers:
             return None
-        moment = read_history(self.run.folder, numbers[-1])
+        moment = read_history(self._holding(numbers[-1]), numbers[-1])
         shape = (moment.cured.xz.shape[0], *moment.cured.xy.shape)
         return ViewGrid((shape[0], shape[1], shape[2]), moment.voxel_mm, moment.centre_z_mm)
 
+    def _holding(self, number: int) -> Path:
+        """Return the run's folder, where the moment of a number in it is its own."""
+        name = f"history/{number:06d}.npz"
+        return self._with_own(name, _MOST_ARCHIVE_BYTES, "there is no such moment")
+
+    def _with_own(self, name: str, most_bytes: int, fault: str) -> Path:
+        if own_file(self.run.folder, name, most_bytes=most_bytes) is None:
+            raise InputError(name, fault, accepted="a file of the run's own")
+        return self.run.folder
+
     def curves(self, start: int) -> dict[str, Any]:
-        """Return the numbers of the moments from the `start`-th on, and which surfaces there are."""
+        """Return the numbers of some moments, from the `start`-th on, and which surfaces there are."""
         rows = []
-        for number in list_history(self.run.folder)[start:]:
-            with self._lock:
-                known = self._numbers.get(number)
+        began = time.monotonic()
+        for number in history_of(self.run.folder)[start : start + _ROWS_AT_ONCE]:
+            known = self._numbers.get(number)
             if known is None:
+                if time.monotonic() - began > _ROWS_WITHIN_S:
+                    break
                 try:
-                    known = read_history_numbers(self.run.folder, number)
+                    known = read_history_numbers(self._holding(number), number)
                 except InputError:  # of one that is damaged nothing is shown, but its place is kept
                     known = HistoryNumbers(number + 1, *(math.nan,) * 8)
-                with self._lock:
-                    self._numbers[number] = known
+                self._numbers[number] = known
             rows.append([number, *(_or_none(value) for value in astuple(known))])
         columns = ["number", *HistoryNumbers.__dataclass_fields__]
-        return {"start": start, "columns": columns, "rows": rows, "surfaces": list_surfaces(self.run.folder)}
+        return {"start": start, "columns": columns, "rows": rows, "surfaces": surfaces_of(self.run.folder)}
 
     def moment(self, number: int) -> bytes:
         """Return a moment of the history; `InputError` where there is none."""
-        moment = read_history(self.run.folder, number)
+        moment = read_history(self._holding(number), number)
         images = images_of("density", moment.density) | images_of("cured", moment.cured)
         for kind, planes in (("slice", moment.slices), ("gel", moment.gel_time_s)):
             images |= {} if planes is None else images_of(kind, planes)
@@ -122,18 +140,23 @@ class RunData:
 
     def surface(self, number: int) -> bytes:
         """Return a surface of the history; `InputError` where there is none."""
-        surface = read_surface(self.run.folder, number)
+        name = f"surfaces/{number:06d}.ply"
+        surface = read_surface(self._with_own(name, _MOST_SURFACE_BYTES, "there is no such surface"), number)
         return pack_surface(
             {"kind": "surface", "number": number}, surface.vertices_mm, surface.faces, surface.deviation_mm
         )
 
     def recorded_picture(self, number: int) -> bytes:
         """Return the camera's picture of a moment; `InputError` where it is not recorded."""
-        return self.camera(recorded_image(self.run.folder, number))
+        folder = self.run.folder
+        if own_file(folder, "frames.h5") is None:
+            raise InputError("frames.h5", "is not there, or not the run's own")
+        return self._pictures.camera(recorded_image(folder, number))
 
     def recorded_pattern(self, number: int) -> bytes | None:
         """Return what was projected at a moment; `InputError` where that is not recorded."""
-        return self.pattern(pattern_shown(self.run.folder, read_history_numbers(self.run.folder, number).time_s))
+        folder = self._with_own("projector.csv", _MOST_TABLE_BYTES, "is not there, or cannot be read")
+        return self.pattern(pattern_shown(folder, read_history_numbers(self._holding(number), number).time_s))
 
     def pattern(self, index: int | None) -> bytes | None:
         """Return a pattern of the plan, or black, as a message; None where the run holds no plan."""
@@ -154,78 +177,23 @@ class RunData:
         return pack(header | angle, {"levels": patterns.levels[index]})
 
     def _load_patterns(self) -> tuple[Patterns, int] | None:
-        with self._lock:
-            if self._patterns is None and not self._has_no_plan:
-                try:
-                    patterns = read_plan(self.run.folder / "plan.h5").patterns
-                except InputError:
-                    self._has_no_plan = True
-                    return None
-                step = -(-patterns.levels.shape[2] // _WIDEST)
-                levels = np.ascontiguousarray(patterns.levels[:, ::step, ::step])
-                self._patterns = (
-                    Patterns(levels, patterns.angles_rad, patterns.first_row, patterns.first_column, 1.0),
-                    step,
-                )
-            return self._patterns
-
-    def snapshot(self, snapshot: Snapshot) -> bytes:
-        """Return a live snapshot as a message."""
-        names = (
-            "frames", "time_s", "angle_deg", "latency_s", "frame_rate_hz", "voxel_mm", "centre_z_mm",
-            "cured_volume_mm3", "provisional_share",
-        )  # fmt: skip
-        header = {name: getattr(snapshot, name) for name in names}
-        images = images_of("density", snapshot.density) | images_of("cured", snapshot.cured)
-        return pack({"kind": "snapshot", **header}, images)
-
-    def planes(self, surface: SurfaceSnapshot) -> bytes:
-        """Return the slices and gel times that came with a live surface."""
-        images = images_of("slice", surface.slices) | images_of("gel", surface.gel_time_s)
-        return pack({"kind": "planes", "frames": surface.frames, "time_s": surface.time_s}, images)
-
-    def live_surface(self, surface: SurfaceSnapshot) -> bytes:
-        """Return a live surface as a message."""
-        names = ("frames", "time_s", "lit_s", "rmse_mm", "reverse_rmse_mm", "iou", "cured_volume_mm3")
-        header: dict[str, Any] = {"kind": "surface", **{name: getattr(surface, name) for name in names}}
-        if surface.forecast is not None:
-            header["forecast"] = vars(surface.forecast)
-        return pack_surface(header, surface.vertices_mm, surface.faces, surface.deviation_mm)
-
-    def camera(self, image: CameraImage) -> bytes:
-        """Return the camera's picture, averaged to what is shown, on a scale that only grows."""
-        step = -(-image.counts.shape[1] // _WIDEST)
-        small = _block_mean(image.counts, step)
-        self._white = max(self._white, float(np.quantile(small[::2, ::2], 0.999)))
-        header = {
-            "kind": "camera", "frame": image.frame, "time_s": image.time_s, "angle_deg": image.angle_deg, "step": step,
-            "rows": image.counts.shape[0], "columns": image.counts.shape[1],
-        }  # fmt: skip
-        return pack(header, {"counts": to_levels(small, 0.0, self._white)})
-
-
-def grid_of(snapshot: Snapshot) -> ViewGrid:
-    """Return where the pixels of a snapshot lie."""
-    (z, x), y = snapshot.density.xz.shape, snapshot.density.xy.shape[0]
-    return ViewGrid((z, y, x), snapshot.voxel_mm, snapshot.centre_z_mm)
-
-
-def _block_mean(counts: NDArray[Any], step: int) -> NDArray[np.float32]:
-    if step == 1:
-        return counts.astype(np.float32)
-    rows, columns = (size // step for size in counts.shape)
-    blocks = counts[: rows * step, : columns * step].reshape(rows, step, columns, step)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+        if self._patterns is None and not self._has_no_plan:
+            path = own_file(self.run.folder, "plan.h5")
+            try:
+                patterns = None if path is None else read_plan(path).patterns
+            except InputError:
+                patterns = None
+            if patterns is None:
+                self._has_no_plan = True
+                return None
+            step = -(-patterns.levels.shape[2] // WIDEST)
+            levels = np.ascontiguousarray(patterns.levels[:, ::step, ::step])
+            self._patterns = (
+                Patterns(levels, patterns.angles_rad, patterns.first_row, patterns.first_column, 1.0),
+                step,
+            )
+        return self._patterns
 
 
 def _or_none(value: float) -> float | None:
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def run_changed(folder: Path) -> str:
-    """Return a text that changes when a run's results do."""
-    marks = []
-    for name in ("run.json", "metrics.json", "report.html", "reference.stl", "rig.toml"):
-        with contextlib.suppress(OSError):
-            marks.append(f"{name}{(folder / name).stat().st_mtime_ns}")
-    return "-".join(marks)

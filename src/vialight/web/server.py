@@ -25,11 +25,16 @@ from vialight.system import leave_interrupts_to_the_print
 if TYPE_CHECKING:
     import uvicorn
 
+    from vialight.web.access import Access
+    from vialight.web.serving import PageHttpServer
+    from vialight.web.stopping import StopProcess
+
 DEFAULT_PORT = 8765
 _START_TIMEOUT_S = 30.0
 _LINGER_S = 60.0
 """For how long the page is served on after the process that prints was killed: it says so."""
-_CONNECTIONS = 256
+_BACKLOG = 1024
+"""Connections that the system holds until they are accepted."""
 _NICE = 5
 """Recording and measuring go first."""
 _LOOPBACK_NAMES = ("localhost", "ip6-localhost")
@@ -84,12 +89,11 @@ def serve(
         There is no such folder, or the address cannot be listened on.
     """
     settings = settings or PageSettings()
-    server, listener, link = _prepare(Path(root), settings)
-    with listener:
+    with contextlib.closing(_prepare(Path(root), settings)) as prepared:
         if announce is not None:
-            announce(link)
+            announce(prepared.link)
         with contextlib.suppress(KeyboardInterrupt):
-            server.run(sockets=[listener])
+            prepared.server.run(sockets=[prepared.listener])
 
 
 class PageProcess:
@@ -106,6 +110,8 @@ class PageProcess:
     ----------
     link : str
         To be opened in a browser.  The secret is behind ``#``: no server sees it.
+    stop_port : int
+        Where Stop has its own listener.
     warning : str or None
         What to tell where others than this machine can reach the page.
 
@@ -131,6 +137,7 @@ class PageProcess:
             self.close()
             raise InputError(*(answer or {"error": ("page", "its server has not started")})["error"])
         self.link: str = answer["link"]
+        self.stop_port: int = answer["stop_port"]
 
     def __enter__(self) -> Self:
         return self
@@ -169,37 +176,84 @@ def network_warning(settings: PageSettings) -> str | None:
     )
 
 
-def _prepare(root: Path, settings: PageSettings) -> tuple[uvicorn.Server, socket.socket, str]:
-    import uvicorn
+@dataclass
+class _Prepared:
+    """What is ready to be served."""
 
+    server: PageHttpServer
+    listener: socket.socket
+    stop: StopProcess
+    link: str
+    stop_port: int
+
+    def close(self) -> None:
+        self.listener.close()
+        self.stop.close()
+
+
+def _prepare(root: Path, settings: PageSettings, *, is_nice: bool = False) -> _Prepared:
     from vialight.web.access import Access
-    from vialight.web.app import PageServer
-    from vialight.web.catalogue import Catalogue
-    from vialight.web.sockets import MESSAGE_LIMIT_BYTES
+    from vialight.web.stopping import StopProcess
     from vialight.web.tokens import token_for
 
-    catalogue = Catalogue(root)
+    root = root.resolve()
+    if not root.is_dir():
+        raise InputError(root, "there is no such folder", accepted="a run's folder, or a folder of runs")
     listener = _listen(settings)
     port = listener.getsockname()[1]
-    access = Access(token_for(catalogue.root), port, _names(settings))
+    stop_listener = _listen_beside(settings.host, port)
+    access = Access(token_for(root), port, _names(settings), stop_listener.getsockname()[1])
+    stop = StopProcess(root, access, stop_listener)  # first, and not nice: nothing goes before Stop
+    try:
+        if is_nice:
+            with contextlib.suppress(OSError):
+                os.nice(_NICE)
+        server = _http_server(root, access)
+    except BaseException:
+        stop.close()
+        listener.close()
+        raise
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    shown = {"0.0.0.0": socket.gethostname(), "[::]": socket.gethostname()}.get(host, host)
+    assert access.stop_port is not None
+    return _Prepared(server, listener, stop, f"http://{shown}:{port}/#token={access.token}", access.stop_port)
+
+
+def _http_server(root: Path, access: Access) -> PageHttpServer:
+    import uvicorn
+
+    from vialight.web.app import PageServer
+    from vialight.web.catalogue import Catalogue
+    from vialight.web.connections import Limits, Places
+    from vialight.web.serving import HEADERS_LIMIT_BYTES, PageHttpServer, PageSocketProtocol
+    from vialight.web.sockets import MESSAGE_LIMIT_BYTES
+
     logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
     config = uvicorn.Config(
-        PageServer(catalogue, access).app(),
+        PageServer(Catalogue(root), access).app(),
         log_config=None,
         access_log=False,  # nobody reads it, and the run's log says who stopped a print
         proxy_headers=False,  # an address that a client claims would get round the limit on tokens
         server_header=False,
-        ws="websockets-sansio",
+        http="h11",
+        h11_max_incomplete_event_size=HEADERS_LIMIT_BYTES,
+        ws=PageSocketProtocol,
         ws_max_size=MESSAGE_LIMIT_BYTES,
         ws_per_message_deflate=False,  # pictures are packed already
         ws_ping_interval=5.0,
         ws_ping_timeout=10.0,
-        limit_concurrency=_CONNECTIONS,
         timeout_graceful_shutdown=1,
     )
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    shown = {"0.0.0.0": socket.gethostname(), "[::]": socket.gethostname()}.get(host, host)
-    return uvicorn.Server(config), listener, f"http://{shown}:{port}/#token={access.token}"
+    return PageHttpServer(config, Places(Limits.of_this_process()))
+
+
+def _listen_beside(host: str, port: int) -> socket.socket:
+    """Listen on the port after the page's, where it is free, so that a page finds Stop again after a restart."""
+    for wanted in (port + 1, 0):
+        if wanted < 65536:
+            with contextlib.suppress(OSError):
+                return _bind(host, wanted)
+    raise InputError("page", f"cannot listen on {host} for Stop", accepted="an address with a free port")
 
 
 def _names(settings: PageSettings) -> tuple[str, ...]:
@@ -227,7 +281,7 @@ def _bind(host: str, port: int) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
-        listener.listen()  # who is given the link may use it at once
+        listener.listen(_BACKLOG)  # who is given the link may use it at once
     except BaseException:
         listener.close()
         raise
@@ -236,21 +290,20 @@ def _bind(host: str, port: int) -> socket.socket:
 
 def _serve_beside(root: Path, settings: PageSettings, pipe: Connection[Any, Any]) -> None:
     leave_interrupts_to_the_print()
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
     try:
-        server, listener, link = _prepare(root, settings)
+        prepared = _prepare(root, settings, is_nice=True)
     except InputError as error:
         where, _, what = str(error).partition(": ")
         pipe.send({"error": (where, what)})
         return
-    pipe.send({"link": link})
+    pipe.send({"link": prepared.link, "stop_port": prepared.stop_port})
     pipe.close()
-    with _ended_by_sigterm(server), listener:
+    server = prepared.server
+    with _ended_by_sigterm(server), contextlib.closing(prepared):
         threading.Thread(target=_outlive_for_a_while, args=(server, os.getppid()), daemon=True).start()
         import asyncio
 
-        asyncio.run(server._serve([listener]))
+        asyncio.run(server._serve([prepared.listener]))
 
 
 @contextlib.contextmanager

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from vialight.arrays import Grid
 from vialight.errors import InputError
-from vialight.links import find_live_print
+from vialight.links import LiveLink
 from vialight.live import SharedVolume
 from vialight.store import read_volume
 from vialight.web.encoding import Levels, pack, to_levels
+from vialight.web.runs import own_folder
 
 _FINAL = "volume.zarr"
+_NOT_YET = "wait for the first turn of frames"
 
 
 class _Held(NamedTuple):
@@ -30,8 +32,42 @@ class _Held(NamedTuple):
     frames: int | None
 
 
-class Slices:
-    """Slices of a run's volume; every method may be called from any thread.
+class LiveSlices:
+    """Slices of the volume that a running print shares; its method may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._shared: tuple[tuple[str, int], SharedVolume] | None = None
+
+    def at(self, link: LiveLink, x: int, y: int, z: int) -> bytes:
+        """Return three planes as a message of the kind ``slices``.
+
+        Parameters
+        ----------
+        link
+            To the print.
+        x, y, z
+            Where: thousandths of the volume's extent, from its lowest coordinate; more than 1000 is 1000.
+
+        Raises
+        ------
+        InputError
+            There is no volume yet.
+        """
+        path = Path(link.mailboxes) / "volume"
+        try:
+            number = path.stat().st_ino  # another file where the live measurement was started again
+        except OSError as error:
+            raise InputError("print", "has no volume yet", remedy=_NOT_YET) from error
+        with self._lock:
+            if self._shared is None or self._shared[0] != (str(path), number):
+                self._shared = (str(path), number), SharedVolume(path)
+            shared = self._shared[1]
+        return _planes(_Held(shared.density, None, shared.grid, shared.moment().frames), x, y, z)
+
+
+class FinalSlices:
+    """Slices of the volume that was reconstructed from a run.
 
     Parameters
     ----------
@@ -41,76 +77,47 @@ class Slices:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._lock = threading.Lock()
-        self._live: tuple[int, SharedVolume] | None = None
-        self._final: tuple[int, _Held] | None = None
+        self._held: tuple[int, _Held] | None = None
 
     def at(self, x: int, y: int, z: int) -> bytes:
-        """Return three planes as a message of the kind ``slices``.
-
-        Parameters
-        ----------
-        x, y, z
-            Where: thousandths of the volume's extent, from its lowest coordinate; more than 1000 is 1000.
+        """Return three planes, as `LiveSlices.at` does.
 
         Raises
         ------
         InputError
-            There is no volume yet.
+            There is no volume.
         """
-        held = self._held()
-        grid = held.grid
-        axes = {"x": grid.x_mm, "y": grid.y_mm, "z": grid.z_mm}
-        index = {
-            name: round(min(share, 1000) * (len(axes[name]) - 1) / 1000)
-            for name, share in (("x", x), ("y", y), ("z", z))
-        }
-        planes = {
-            "slice_xy": held.density[index["z"]],
-            "slice_xz": held.density[:, index["y"]],
-            "slice_yz": held.density[:, :, index["x"]],
-        }
-        header = {
-            "kind": "slices", "frames": held.frames, "voxel_mm": grid.voxel_mm,
-            "at_mm": {name: float(axes[name][place]) for name, place in index.items()},
-        }  # fmt: skip
-        return pack(header, _levels(planes, held.range))
-
-    def _held(self) -> _Held:
-        with self._lock:
-            live = self._live_volume()
-            if live is not None:
-                return live
-            return self._final_volume()
-
-    def _live_volume(self) -> _Held | None:
-        link = find_live_print(self._folder)
-        if link is None:
-            self._live = None
-            return None
-        path = Path(link.mailboxes) / "volume"
+        path = own_folder(self._folder, _FINAL)
         try:
-            number = path.stat().st_ino  # another file where the live measurement was started again
-        except OSError as error:
-            name, remedy = self._folder.name, "wait for the first turn of frames"
-            raise InputError(name, "has no volume yet", remedy=remedy) from error
-        if self._live is None or self._live[0] != number:
-            self._live = number, SharedVolume(path)
-        shared = self._live[1]
-        return _Held(shared.density, None, shared.grid, shared.moment().frames)
-
-    def _final_volume(self) -> _Held:
-        path = self._folder / _FINAL
-        try:
-            changed = (path / "zarr.json").stat().st_mtime_ns
-        except OSError as error:
-            raise InputError(self._folder.name, f"has no {_FINAL}", remedy="reconstruct it") from error
-        if self._final is None or self._final[0] != changed:
+            changed = None if path is None else (path / "zarr.json").stat().st_mtime_ns
+        except OSError:
+            changed = None
+        if path is None or changed is None:
+            raise InputError(self._folder.name, f"has no {_FINAL}", remedy="reconstruct it")
+        if self._held is None or self._held[0] != changed:
             volume = read_volume(path)
             # A quarter of the memory, and what a screen can show.
             kept = to_levels(volume.density)
-            self._final = changed, _Held(kept.levels, (kept.low, kept.high), volume.grid, None)
-        return self._final[1]
+            self._held = changed, _Held(kept.levels, (kept.low, kept.high), volume.grid, None)
+        return _planes(self._held[1], x, y, z)
+
+
+def _planes(held: _Held, x: int, y: int, z: int) -> bytes:
+    grid = held.grid
+    axes = {"x": grid.x_mm, "y": grid.y_mm, "z": grid.z_mm}
+    index = {
+        name: round(min(share, 1000) * (len(axes[name]) - 1) / 1000) for name, share in (("x", x), ("y", y), ("z", z))
+    }
+    planes = {
+        "slice_xy": held.density[index["z"]],
+        "slice_xz": held.density[:, index["y"]],
+        "slice_yz": held.density[:, :, index["x"]],
+    }
+    header = {
+        "kind": "slices", "frames": held.frames, "voxel_mm": grid.voxel_mm,
+        "at_mm": {name: float(axes[name][place]) for name, place in index.items()},
+    }  # fmt: skip
+    return pack(header, _levels(planes, held.range))
 
 
 def _levels(

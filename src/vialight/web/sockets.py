@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -12,12 +13,18 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from vialight.errors import InputError
 from vialight.store import to_json
 from vialight.web.orders import OrderDesk, check_order
+from vialight.web.runs import CannotTellError
 from vialight.web.watching import CHANNELS, RunWatch
+
+_LOG = logging.getLogger("vialight.web")
 
 MOST_SOCKETS = 48
 """Three a page: sixteen pages."""
 MESSAGE_LIMIT_BYTES = 1024
 _PENDING_ORDERS = 4
+_MOST_PENDING_STOPS = 16
+_MOST_ORDERS = 1 << 53
+"""A socket counts no further: what the page's numbers can tell apart."""
 _TRY_LATER, _NOT_UNDERSTOOD = 1013, 1003
 
 
@@ -99,7 +106,7 @@ class _Page:
                 case {"got": str(kind)} if kind in self.kinds:
                     self._under_way.discard(kind)
                     self.wake.set()
-                case {"order": order, "id": int(number)}:
+                case {"order": order, "id": int(number)} if 0 <= number < _MOST_ORDERS:
                     self._take_order(order, number)
                 case _:
                     await self._socket.close(_NOT_UNDERSTOOD, "not understood")
@@ -107,8 +114,8 @@ class _Page:
 
     def _take_order(self, order: Any, number: int) -> None:
         is_stop = isinstance(order, dict) and order.get("do") == "stop"
-        if len(self._orders) >= _PENDING_ORDERS and not is_stop:
-            return
+        if len(self._orders) >= (_MOST_PENDING_STOPS if is_stop else _PENDING_ORDERS):
+            return  # a press of Stop is under way
         task = asyncio.create_task(self._answer(order, number))
         self._orders.add(task)
         task.add_done_callback(self._orders.discard)
@@ -117,8 +124,13 @@ class _Page:
         by = f"page at {self._socket.client.host if self._socket.client else 'unknown'}"
         try:
             answer = await self._desk.obey(self._watch.run, check_order(order), by)
+        except CannotTellError as error:
+            answer = {"error": str(error), "cannot_tell": True}
         except InputError as error:
             answer = {"error": str(error)}
+        except Exception:
+            _LOG.exception("while passing an order on")
+            answer = {"error": "a fault of the server's own", "cannot_tell": True}
         with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):
             await self._put(to_json({"kind": "answer", "id": number, "answer": answer}))
 

@@ -10,26 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vialight.errors import InputError
-from vialight.links import find_live_print
 from vialight.report import picture_of
-from vialight.store import list_history, list_surfaces, read_history, read_surface
-from vialight.web.catalogue import Run
+from vialight.store import read_history, read_surface
+from vialight.web.catalogue import history_of, surfaces_of
+from vialight.web.runs import Run, own_file
 
 _PIXELS = 160
+_MOST_BYTES = 500_000_000
 
 
-def thumbnail(run: Run) -> bytes | None:
+def thumbnail(run: Run, is_live: bool) -> bytes | None:
     """Return the last surface of a run as PNG, or its newest projection; None where there is neither.
 
     A print that runs is shown by its projection, which costs nothing.
     """
-    surfaces, moments = list_surfaces(run.folder), list_history(run.folder)
-    if surfaces and not (moments and find_live_print(run.folder)):
-        return _drawn(run.folder, True, surfaces[-1])
-    return _drawn(run.folder, False, moments[-1]) if moments else None
+    surfaces, moments = surfaces_of(run.folder), history_of(run.folder)
+    if surfaces and not (moments and is_live):
+        name = f"surfaces/{surfaces[-1]:06d}.ply"
+        return _drawn(run.folder, True, surfaces[-1]) if own_file(run.folder, name, most_bytes=_MOST_BYTES) else None
+    if not moments or own_file(run.folder, f"history/{moments[-1]:06d}.npz", most_bytes=_MOST_BYTES) is None:
+        return None
+    return _drawn(run.folder, False, moments[-1])
 
 
-@lru_cache(maxsize=200)
+@lru_cache(maxsize=50)
 def _drawn(folder: Path, is_surface: bool, number: int) -> bytes | None:
     from PIL import Image
 

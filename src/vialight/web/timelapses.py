@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from vialight.errors import InputError
-from vialight.web.catalogue import Run
+from vialight.web.runs import Run, own_folder
 
 _NICE = 10
+_MOST_PROCESSOR_S = 3600
+_MOST_BYTES = 6 << 30
 
 
 class TimeLapses:
@@ -82,6 +84,15 @@ class TimeLapses:
             self._states[run.key] = {"state": "failed", "error": "the drawing process ended"}
 
 
+def _limit() -> None:
+    """Let the drawing have so much time of a processor and memory, whatever the surfaces hold."""
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CPU, (_MOST_PROCESSOR_S, _MOST_PROCESSOR_S))
+        resource.setrlimit(resource.RLIMIT_AS, (_MOST_BYTES, _MOST_BYTES))
+
+
 def _draw(folder: str, out: str) -> None:
     from vialight.report import write_timelapse
 
@@ -91,6 +102,10 @@ def _draw(folder: str, out: str) -> None:
     def tell(**state: Any) -> None:
         print(json.dumps(state), flush=True)
 
+    if own_folder(Path(folder), "surfaces") is None:
+        tell(state="failed", error="surfaces: are not there, or not the run's own")
+        return
+    _limit()
     try:
         write_timelapse(folder, out, progress=lambda done, total: tell(state="drawing", done=done, total=total))
         tell(state="done")

@@ -7,7 +7,6 @@ taken the last one.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import logging
 import time
@@ -25,12 +24,12 @@ from vialight.links import (
     PrintStatus,
     Snapshot,
     SurfaceSnapshot,
-    find_live_print,
 )
-from vialight.store import list_history, list_surfaces, to_json
-from vialight.web.catalogue import Run
-from vialight.web.data import RunData, grid_of, run_changed
+from vialight.store import to_json
+from vialight.web.live_pictures import LivePictures, grid_of
+from vialight.web.readers import Readers
 from vialight.web.reference import ViewGrid
+from vialight.web.runs import CannotTellError, Run, find_print
 
 _T = TypeVar("_T")
 _LOG = logging.getLogger("vialight.web")
@@ -48,6 +47,7 @@ _STATUS_S = 0.1
 _PATTERN_S = 0.1
 """Between pictures of patterns, of which 32 are shown a second."""
 _FOLDER_S = 1.0
+_LINK_S = 1.0
 
 
 class Board:
@@ -127,36 +127,40 @@ class RunWatch:
 
     Parameters
     ----------
-    data
-        Of the run.
+    run
+        The run.
+    readers
+        Read what lies in its folder.
     workers
-        Where reading and packing are done, so that the event loop stays free for Stop.
+        Where what is published is read and packed, so that the event loop stays free for Stop.
+    looking
+        Where it is looked whether a print runs.
     """
 
-    def __init__(self, data: RunData, workers: Executor) -> None:
-        self.data = data
+    def __init__(self, run: Run, readers: Readers, workers: Executor, looking: Executor) -> None:
+        self.run = run
         self.board = Board()
         self.link: LiveLink | None = None
-        self._workers = workers
+        self._pictures = LivePictures()
+        self._readers, self._workers, self._looking = readers, workers, looking
         self._tasks: list[asyncio.Task[None]] = []
         self._seen: dict[str, float] = {}
         self._published = 0.0
         self._status: PrintStatus | None = None
         self._counts = {"moments": 0, "surfaces": 0, "log": 0}
         self._changed: str | None = None
+        self._is_known = False
+        self._unsure: str | None = None
+        self._fault: str | None = None
         self._grid: ViewGrid | None = None
         self._pattern: int | None = -1
-
-    @property
-    def run(self) -> Run:
-        """The run that is watched."""
-        return self.data.run
 
     def start(self) -> None:
         """Begin to watch, on the running event loop."""
         if self._tasks:
             return
         jobs: list[Callable[[], Coroutine[Any, Any, None]]] = [
+            self._watch_link,
             self._watch_folder,
             self._beat,
             functools.partial(self._watch, "status", self._take_status),
@@ -174,20 +178,37 @@ class RunWatch:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         # Who comes next must not be told what was true then.
-        self.link, self._changed = None, None
+        self.link, self._changed, self._is_known = None, None, False
         self._forget()
         self.board.clear("status", "reference")
 
     async def _do(self, function: Callable[..., _T], *arguments: Any) -> _T:
         return await asyncio.get_running_loop().run_in_executor(self._workers, function, *arguments)
 
+    async def _watch_link(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                link = await loop.run_in_executor(self._looking, find_print, self.run)
+            except CannotTellError as error:
+                self._unsure = str(error)  # what was known last is shown on, as no longer sure
+            else:
+                if self.link is not None and link != self.link:
+                    self._forget()
+                self.link, self._unsure = link, None
+            self._is_known = True
+            await asyncio.sleep(_LINK_S if self.link else _LINK_S / 4)
+
     async def _watch_folder(self) -> None:
         while True:
-            link, counts, changed = await self._do(_look_at, self.run.folder)
-            if self.link is not None and link != self.link:
-                self._forget()
-            self.link, self._counts, self._changed = link, counts, changed
-            await asyncio.sleep(_FOLDER_S if link else _FOLDER_S / 4)
+            try:
+                found = (await self._readers.ask(self.run, "look")).value
+            except InputError as error:
+                self._fault = str(error)
+                self._changed = self._changed or "unknown"
+            else:
+                self._counts, self._changed, self._fault = found["counts"], found["changed"], None
+            await asyncio.sleep(_FOLDER_S if self.link else _FOLDER_S / 4)
 
     def _forget(self) -> None:
         self._status, self._pattern, self._grid = None, -1, None
@@ -220,20 +241,28 @@ class RunWatch:
             self._publish_status()
 
     async def _take_snapshot(self, snapshot: Snapshot) -> None:
-        self.board.publish("snapshot", await self._do(self.data.snapshot, snapshot))
+        self.board.publish("snapshot", await self._do(self._pictures.snapshot, snapshot))
         grid = grid_of(snapshot)
         if grid != self._grid:
             self._grid = grid
-            sums = await self._do(self.data.reference_sums, grid)
-            if sums is not None:
-                self.board.publish("reference", sums)
+            self._asking = asyncio.create_task(self._show_reference(grid))
+
+    async def _show_reference(self, grid: ViewGrid) -> None:
+        """Read the reference beside the pictures, which do not wait for it."""
+        try:
+            sums = (await self._readers.ask(self.run, "reference_sums", *grid)).content
+        except InputError as error:
+            _LOG.info("%s", error)
+            return
+        if sums is not None and grid == self._grid:
+            self.board.publish("reference", sums)
 
     async def _take_surface(self, surface: SurfaceSnapshot) -> None:
-        self.board.publish("planes", await self._do(self.data.planes, surface))
-        self.board.publish("surface", await self._do(self.data.live_surface, surface))
+        self.board.publish("planes", await self._do(self._pictures.planes, surface))
+        self.board.publish("surface", await self._do(self._pictures.live_surface, surface))
 
     async def _take_camera(self, image: CameraImage) -> None:
-        self.board.publish("camera", await self._do(self.data.camera, image))
+        self.board.publish("camera", await self._do(self._pictures.camera, image))
 
     async def _show_pattern(self) -> None:
         while True:
@@ -242,35 +271,30 @@ class RunWatch:
             if status is None or status.pattern == self._pattern or not self.board.is_read("pattern"):
                 continue
             self._pattern = status.pattern
-            message = await self._do(self.data.pattern, status.pattern)
+            message = (await self._readers.ask(self.run, "pattern", status.pattern)).content
             if message is not None:
                 self.board.publish("pattern", message)
 
     def _publish_status(self) -> None:
-        if self._changed is None:
+        if self._changed is None or not self._is_known:
             return  # not known yet whether anything prints
         now = self._published = time.monotonic()
         message = {
             "kind": "status",
             "live": self.link is not None,
+            "unsure": self._unsure,
+            "fault": self._fault,
             "status": None if self._status is None else asdict(self._status),
             "ages_s": {name: round(now - seen, 3) for name, seen in self._seen.items()},
             "counts": self._counts,
-            "changed": self._changed,
+            # Results are renewed, and so is what is told of a print that has ended without any.
+            "changed": f"{self._changed}{'' if self.link is None else ' live'}",
         }
         self.board.publish("status", to_json(message))
 
 
 def _news(status: PrintStatus) -> tuple[str, str, str, bool]:
     return status.state, status.message, status.mode, status.pattern is None
-
-
-def _look_at(folder: Path) -> tuple[LiveLink | None, dict[str, int], str]:
-    lines = 0
-    with contextlib.suppress(OSError):
-        lines = (folder / "log.jsonl").read_bytes().count(b"\n")
-    counts = {"moments": len(list_history(folder)), "surfaces": len(list_surfaces(folder)), "log": lines}
-    return find_live_print(folder), counts, run_changed(folder)
 
 
 async def _for_ever(job: Callable[[], Coroutine[Any, Any, None]]) -> None:

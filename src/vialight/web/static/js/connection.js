@@ -36,7 +36,10 @@ export const getJson = async (path) => (await ask(path)).json();
 export const getBinary = async (path) => decode(await (await ask(path)).arrayBuffer());
 
 export async function post(path, body, timeoutMs = 5000) {
-  const options = { method: "POST", signal: AbortSignal.timeout(timeoutMs) };
+  // Stop's own listener is on another port: for a browser another origin, to which the cookie goes only when told.
+  const isElsewhere = path.startsWith("http:");
+  const options = { method: "POST", signal: AbortSignal.timeout(timeoutMs),
+    credentials: isElsewhere ? "include" : "same-origin" };
   if (body !== undefined) {
     options.body = JSON.stringify(body);
     options.headers = { "Content-Type": "application/json" };

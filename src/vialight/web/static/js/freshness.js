@@ -4,7 +4,7 @@ import { $, number } from "./text.js";
 
 const OLD_S = 1;
 const LOOK_MS = 200;
-const UNFINISHED = ["preflight", "background", "printing", "dark", "after", "finishing"];
+const INTERRUPTED = "interrupted";
 const PICTURED = ["printing", "dark", "after"];
 
 export function say(level, text = "") {
@@ -33,6 +33,8 @@ export class Freshness {
       return ["lost", `No connection to the server for ${number(sinceS, 0)} s: what you see is old.${switchOff}`];
     }
     if (!message) return [null];
+    if (message.unsure) return ["lost", `What you see may be old: ${message.unsure}.`];
+    if (message.fault && !message.live) return ["warn", `Some of this run is not shown: ${message.fault}.`];
     return message.live ? this.ofLive(message, sinceS, timeline) : this.ofOver(run);
   }
 
@@ -51,8 +53,10 @@ export class Freshness {
   }
 
   ofOver(run) {
-    if (!UNFINISHED.includes(run.state)) return [null];
-    const text = "The process that prints has ended without finishing: check the printer. What it recorded is here.";
-    return ["lost", text];
+    if (run.state === INTERRUPTED) {
+      const text = "The process that prints has ended without finishing: check the printer. What it recorded is here.";
+      return ["lost", text];
+    }
+    return run.fault ? ["warn", `Some of this run cannot be read: ${run.fault}.`] : [null];
   }
 }

@@ -46,7 +46,7 @@ class Frame {
     const run = await getJson(`/api/runs/${encodeURIComponent(key ?? (await getJson("/api/runs"))[0].key)}`);
     this.view("print");
     $("to-runs").hidden = session.single;
-    this.print.enter(run);
+    this.print.enter(run, session.stop_port);
   }
 
   async list() {

@@ -27,7 +27,7 @@ export class PrintPage {
     this.machine = new Machine();
     this.results = new Results();
     this.timeline = new Timeline((moment) => this.lookBack(moment), () => this.lookAtNewest());
-    this.stop = new Stop((order) => this.order(order), () => `/api/runs/${this.run.key}/stop`);
+    this.stop = new Stop((order) => this.order(order), () => this.stopPaths());
     this.freshness = new Freshness(this);
     this.channels = {};
     this.orderNumber = 0;
@@ -49,9 +49,10 @@ export class PrintPage {
   }
 
   // The page's parts must be in sight: what is drawn takes its size from there.
-  enter(run) {
+  enter(run, stopPort) {
     this.leave();
     this.run = run;
+    this.stopPort = stopPort;
     $("run-name").textContent = [this.run.name, this.run.part].filter(Boolean).join(" \u00b7 ");
     document.title = `${this.run.name} \u2013 vialight`;
     Object.assign(this, {
@@ -74,6 +75,11 @@ export class PrintPage {
     }
   }
 
+  stopPaths() {
+    const path = `/api/runs/${this.run.key}/stop`;
+    return this.stopPort ? [path, `http://${location.hostname}:${this.stopPort}${path}`] : [path];
+  }
+
   async getReference() {
     const { run } = this;
     try {
@@ -87,7 +93,7 @@ export class PrintPage {
     if (channel.isOpen || channel.isOver || this.isAsking) return;
     this.isAsking = true;
     try {
-      await getJson("/api/session");
+      this.stopPort = (await getJson("/api/session")).stop_port;
     } catch (error) {
       if (error instanceof Refused && error.status === 401 && this.run) {
         this.leave();
@@ -105,7 +111,7 @@ export class PrintPage {
     this.receivedAt = performance.now();
     const { live, status } = header;
     const canStop = live && status?.state !== "replay";
-    this.stop.see(canStop, status);
+    this.stop.see(canStop, status, header.unsure !== null && status?.state !== "replay");
     this.tellState();
     this.timeline.setLive(live);
     $("orders").hidden = !canStop;

@@ -20,6 +20,7 @@ function card(run) {
     run.passed == null ? null : run.passed ? "within tolerance" : "out of tolerance"].filter(Boolean).join(", ");
   const link = element("a", { href: `#run=${run.key}` }, picture, element("strong", { textContent: run.name }),
     element("p", { textContent: run.part ?? "" }), state, element("p", { textContent: results }),
+    ...(run.fault ? [element("p", { className: "fault", textContent: `Cannot be read: ${run.fault}` })] : []),
     element("p", { textContent: new Date(run.started).toLocaleString("en-GB") }));
   return element("li", {}, link);
 }

@@ -1,15 +1,16 @@
-// Stop: one press, by both ways at once, and not done before the print itself says that the projector shows black.
+// Stop: one press, by three ways at once, and not done before the print itself says that the projector shows black.
 
 import { Refused, post } from "./connection.js";
 import { $, number } from "./text.js";
 
 const AGAIN_MS = 400;
 const GIVE_UP_MS = 10000;
+const CANNOT_TELL = 503;
 
 export class Stop {
-  // `order(order)` sends by the socket; `path()` is where the plain request goes.
-  constructor(order, path) {
-    Object.assign(this, { order, path, pressedAt: null });
+  // `order(order)` sends by the socket; `paths()` is where the plain requests go: the page's port and Stop's own.
+  constructor(order, paths) {
+    Object.assign(this, { order, paths, pressedAt: null });
     this.button = $("stop-button");
     this.answer = $("stop-answer");
     this.button.addEventListener("click", () => this.press());
@@ -41,10 +42,14 @@ export class Stop {
   send() {
     this.order({ do: "stop" });
     const pressed = this.pressedAt;
-    post(this.path(), undefined, 3000).then(() => {
+    const presses = this.paths().map((path) => post(path, undefined, 3000));
+    Promise.any(presses).then(() => {
       if (pressed === this.pressedAt) this.isAnswered = true;
-    }, (error) => {
-      this.fault = error instanceof Refused ? error.message : "the server cannot be reached";
+    }, ({ errors }) => {
+      // What the server says is told before what the network does; that nothing is known before that nothing runs.
+      const refused = errors.filter((error) => error instanceof Refused);
+      const worst = refused.find((error) => error.status === CANNOT_TELL) ?? refused[0];
+      this.fault = worst?.message ?? "the server cannot be reached";
     });
   }
 
@@ -62,8 +67,13 @@ export class Stop {
     }
   }
 
-  // `status` is what the print reports; null where it is over.
-  see(isLive, status) {
+  // `status` is what the print reports; null where it is over.  While it cannot be told whether it is, Stop stays.
+  see(isLive, status, isUnsure) {
+    if (isUnsure) {
+      this.button.disabled = false;
+      if (this.pressedAt === null) this.button.textContent = "Stop";
+      return;
+    }
     this.button.disabled = !isLive;
     const isBlack = !isLive || (status !== null && status.pattern === null && status.state !== "printing");
     const isObeyed = this.isAnswered || !isLive || ["after", "finishing"].includes(status?.state);

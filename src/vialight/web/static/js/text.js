@@ -42,6 +42,8 @@ export const STATES = {
   preflight: "Checking the machine", background: "Recording the background", printing: "Printing",
   dark: "Light held off by a fault", after: "Light off, watching what still cures", finishing: "Finishing",
   replay: "Replaying a recording", done: "Done", failed: "Failed", unknown: "No state recorded",
+  interrupted: "Interrupted: its process has ended without finishing", unreadable: "Cannot be read",
+  uncertain: "It cannot be told whether it is printing",
 };
 
 // A list of terms; rows are [term, text] or [term, text, "bad"].
