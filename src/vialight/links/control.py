@@ -153,7 +153,7 @@ def stop_print(link: LiveLink, by: str, *, timeout_s: float = _ANSWER_TIMEOUT_S)
             "print",
             f"the light has not been seen to go off within {_DARK_TIMEOUT_S:g} s",
             remedy="use the switch on the machine",
-        )
+        ) from TimeoutError()
     telling.join(min(timeout_s, _WRITTEN_DOWN_S))
     return (answers[0] if answers else {}) | {"is_dark": True, "is_over": True}
 

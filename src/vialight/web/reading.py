@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 import psutil
 
 from vialight.errors import VialightError
-from vialight.links.interrupts import leave_interrupts_to_the_print
 from vialight.store import to_json
+from vialight.system import leave_interrupts_to_the_print
 from vialight.web.catalogue import history_of, overview, run_changed, summary, surfaces_of
 from vialight.web.run_log import LogTail
 from vialight.web.runs import Run

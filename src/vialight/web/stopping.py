@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from vialight.errors import InputError
-from vialight.links.interrupts import leave_interrupts_to_the_print
+from vialight.system import leave_interrupts_to_the_print
 from vialight.web.access import BODY_LIMIT_BYTES, Access, Asked, Refusal
 from vialight.web.connections import Acceptor, Limits, Places, Reserve
 from vialight.web.orders import OrderDesk
