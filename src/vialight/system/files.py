@@ -131,7 +131,8 @@ def read_plain(path: str | Path, most_bytes: int) -> bytes:
     vialight.errors.InputError: ...
     """
     with open_plain(path, most_bytes) as file:
-        content = file.read(most_bytes + 1)
+        size = os.fstat(file.fileno()).st_size
+        content = file.read(min(size, most_bytes) + 1)  # memory is taken for as much as is asked for
     if len(content) > most_bytes:
         raise _too_large(path, len(content), most_bytes)
     return content
