@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import signal
 import socket
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -14,9 +16,12 @@ from typing import Any, Self
 def leave_interrupts_to_the_print() -> None:
     """Go on when the user presses Ctrl-C: what that ends, and when, is for the process that prints to decide.
 
-    For processes that a print has started, called first of all: a terminal sends Ctrl-C to every one of them.
+    For processes that a print has started, called first of all: a terminal sends Ctrl-C to every one of them.  From
+    then on Linux lists the process by the name that the print has given it, for who looks which one hangs.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/comm").write_text(multiprocessing.current_process().name, encoding="utf-8")
 
 
 class StopAsked:
