@@ -17,6 +17,7 @@ import argparse
 import contextlib
 import itertools
 import json
+import signal
 import sys
 import threading
 import time
@@ -49,6 +50,8 @@ def main() -> None:
     parser.add_argument("--at-once", type=int, default=1, help="prints that run beside each other")
     parser.add_argument("--out", type=Path, help="JSON lines, one for each print")
     options = parser.parse_args()
+    # A job in the background ignores Ctrl-C, and so would all that it starts.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     cases = list(itertools.islice(_cases(options), options.prints))
     done = _kept(options.out, cases)
     lock = threading.Lock()

@@ -250,9 +250,11 @@ def _with_fault(printed: _Print, beats: list[tuple[float, float]]) -> Found:
     except (GoneError, psutil.NoSuchProcess) as gone:
         printed.process.wait(ENDED_S)
         found.was_gone = str(gone)
-        if case.moment not in ("after", "measuring"):
+        if case.moment not in ("after", "measuring") or printed.process.poll():
             told = printed.scene.told(printed.run.parent).strip()
-            found.odd.append(f"ended before its moment: {told[-500:]}")
+            log = printed.run / "log.jsonl"
+            last = log.read_text(encoding="utf-8").splitlines()[-1:] if log.exists() else []
+            found.odd.append(f"ended ({printed.process.returncode}) before its moment: {told[-500:]} {last}")
         return found
     order_s = None
     if case.order:
