@@ -7,7 +7,7 @@
 - `waiting`: waits that have an end, and end at once where something is wrong
 """
 
-from vialight.system.interrupts import StopAsked, leave_interrupts_to_the_print
+from vialight.system.interrupts import StopAsked, deaf_to_interrupts, leave_interrupts_to_the_print
 from vialight.system.lines import LineWriter
 from vialight.system.processes import ProcessIdentity, ProcessState, identity_of, is_same_process, state_of
 from vialight.system.shared_files import is_shared_folder, make_shared_file, map_shared_file, shared_folder
@@ -18,6 +18,7 @@ __all__ = [
     "ProcessIdentity",
     "ProcessState",
     "StopAsked",
+    "deaf_to_interrupts",
     "identity_of",
     "is_same_process",
     "is_shared_folder",
