@@ -10,7 +10,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -131,13 +131,16 @@ class WindowScene:
     ----------
     screen
         On which the window is.
+    environment
+        Variables of the print's, such as where its curtain keeps its state.
     """
 
     rate, turn_s = 1.0, TURN_S
     angle_bound_deg = STAGE_LATENCY_DEG
 
-    def __init__(self, screen: Xvfb) -> None:
+    def __init__(self, screen: Xvfb, environment: Mapping[str, str]) -> None:
         self._screen = screen
+        self._environment = {"DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1", **environment}
 
     @contextlib.contextmanager
     def printing(self, folder: Path, options: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
@@ -147,7 +150,7 @@ class WindowScene:
             rig = rig_at(address)
             write_plan(folder / "plan.h5", plan_for(rig))
             (folder / "rig.toml").write_text(rig_to_toml(rig), encoding="utf-8")
-            yield _started(folder, options)
+            yield _started(folder, options, self._environment)
 
     def watch(self, shared: Path) -> _WatchedScreen:
         """Watch it."""
@@ -195,15 +198,16 @@ def window_scene() -> Iterator[WindowScene]:
     """Run a screen with a white desktop, for prints to be shown on."""
     with tempfile.TemporaryDirectory(prefix="vialight-faults-screen-") as name:
         screen = Xvfb(Path(name))
-        os.environ |= {"DISPLAY": screen.display, "XDG_RUNTIME_DIR": name, "LIBGL_ALWAYS_SOFTWARE": "1"}
         screen.light_the_desktop()
         try:
-            yield WindowScene(screen)
+            yield WindowScene(screen, {"XDG_RUNTIME_DIR": name})
         finally:
             screen.close()
 
 
-def _started(folder: Path, options: Sequence[str]) -> subprocess.Popen[str]:
+def _started(
+    folder: Path, options: Sequence[str], environment: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
     command = [
         str(Path(sys.executable).with_name("vialight")), "print", "plan.h5", "--rig", "rig.toml", "--out", "run",
         "--resin", "DUDMA", "--voxel", "1.0", "--stop", f"turns={TURNS}", *options,
@@ -211,5 +215,11 @@ def _started(folder: Path, options: Sequence[str]) -> subprocess.Popen[str]:
     with (folder / _STDERR).open("wb") as told:
         # In a group of its own, as a terminal starts it.
         return subprocess.Popen(
-            command, cwd=folder, stdout=subprocess.DEVNULL, stderr=told, text=True, start_new_session=True
+            command,
+            cwd=folder,
+            stdout=subprocess.DEVNULL,
+            stderr=told,
+            text=True,
+            start_new_session=True,
+            env={**os.environ, **(environment or {})},
         )

@@ -283,7 +283,8 @@ def _with_fault(printed: _Print, beats: list[tuple[float, float]]) -> Found:
     _look_at_frames(found, printed, [before, printed.acknowledged()])
     told_all = printed.scene.told(printed.run.parent)
     if "Traceback" in told_all:
-        found.odd.append("traceback: " + told_all[told_all.rindex("Traceback") :].strip().splitlines()[-1][:200])
+        lines = told_all[told_all.index("Traceback") :].strip().splitlines()
+        found.odd.append("traceback: " + " / ".join(line.strip() for line in lines[-40:])[-800:])
     found.exit_code = printed.process.poll()
     printed.watched.close()
     return found
