@@ -253,8 +253,9 @@ def _with_fault(printed: _Print, beats: list[tuple[float, float]]) -> Found:
         if case.moment not in ("after", "measuring") or printed.process.poll():
             told = printed.scene.told(printed.run.parent).strip()
             log = printed.run / "log.jsonl"
-            last = log.read_text(encoding="utf-8").splitlines()[-1:] if log.exists() else []
-            found.odd.append(f"ended ({printed.process.returncode}) before its moment: {told[-500:]} {last}")
+            entries = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
+            faults = [entry for entry in entries if '"fault"' in entry or '"stop"' in entry][-4:]
+            found.odd.append(f"ended ({printed.process.returncode}) before its moment: {told[-300:]} {faults}")
         return found
     order_s = None
     if case.order:
