@@ -60,7 +60,10 @@ def main() -> None:
         case, begin = cases[number], time.monotonic()
         scene = scenes["window" if case.on_window else "simulated"]
         with at_the_window if case.on_window else contextlib.nullcontext():
-            found = run_case(case, scene, np.random.default_rng((options.seed, number)))
+            try:
+                found = run_case(case, scene, np.random.default_rng((options.seed, number)))
+            except Exception as error:  # one print must not end all others
+                found = Found(str(case), case.victim, case.fault, odd=[f"could not be looked at: {error!r}"])
         with lock:
             done[number] = found
             if options.out is not None:
