@@ -250,7 +250,7 @@ def _with_fault(printed: _Print, beats: list[tuple[float, float]]) -> Found:
     except (GoneError, psutil.NoSuchProcess) as gone:
         printed.process.wait(ENDED_S)
         found.was_gone = str(gone)
-        if case.moment not in ("after", "measuring") or printed.process.poll():
+        if case.moment != "measuring" or printed.process.poll():
             told = printed.scene.told(printed.run.parent).strip()
             log = printed.run / "log.jsonl"
             entries = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
