@@ -94,7 +94,7 @@ def test_killed_print_is_dark_within_a_quarter_of_a_second_and_its_frames_can_be
         flips = Path(link.mailboxes) / "flips"
         camera = Mailbox(link.mailboxes / "camera", CameraImage)
         wait_for(lambda: frames_in(camera) > MORE_THAN_A_TURN)
-        time.sleep(np.random.default_rng().uniform(0, 2))  # at a random moment; benchmarks/killing.py does it often
+        time.sleep(np.random.default_rng().uniform(0, 2))  # at a random moment; benchmarks/faults.py does it often
         recorded = frames_in(camera)
         killed = time.monotonic()
         os.kill(process.pid, signal.SIGKILL)

@@ -313,3 +313,10 @@ def test_ctrl_c_at_a_terminal_leaves_the_processes_of_a_print_to_it(tmp_path: Pa
             status = (Path("/proc") / str(pid) / "status").read_text(encoding="utf-8")
             ignored = int(status.split("SigIgn:")[1].split()[0], 16)
             assert ignored & 1 << (signal.SIGINT - 1)
+
+
+def test_simulated_printer_that_was_stopped_is_ended_all_the_same(tmp_path: Path) -> None:
+    with quick_printer(tmp_path) as printer:
+        os.kill(printer.processes["world"].pid, signal.SIGSTOP)
+    assert not any(process.is_alive() for process in printer.processes.values())
+    assert not printer.folder.exists()

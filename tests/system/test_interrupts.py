@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import signal
 import subprocess
 import sys
@@ -9,7 +11,7 @@ import time
 
 import pytest
 
-from vialight.system import StopAsked
+from vialight.system import StopAsked, deaf_to_interrupts
 
 HELD_UP = """
 import hashlib, os, signal
@@ -60,3 +62,15 @@ def test_what_was_there_before_is_there_again_and_nothing_is_told_without_a_sign
     assert not asked
     assert told == []
     assert signal.set_wakeup_fd(-1) == -1
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="the system cannot make a thread deaf")
+def test_process_that_is_still_starting_lives_through_an_interrupt() -> None:
+    process = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(0.1,), daemon=True)
+    with deaf_to_interrupts():
+        process.start()
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGINT)  # long before its own first line
+    process.join(60)
+    assert process.exitcode == 0
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, set())

@@ -24,7 +24,7 @@ from vialight.devices.leasing import judge
 from vialight.devices.protocols import Clock, DeviceError, DeviceGoneError, Lease, LightPhase, Shown
 from vialight.errors import VialightError
 from vialight.links import LightPanel, Mailbox
-from vialight.system import LineWriter, leave_interrupts_to_the_print
+from vialight.system import LineWriter, deaf_to_interrupts, leave_interrupts_to_the_print
 
 _START_TIMEOUT_S = 60.0
 _END_TIMEOUT_S = 3.0
@@ -121,7 +121,8 @@ class ProjectorProcess:
         projector = context.Process(
             target=_run, args=(parts, clock, due, folder, theirs, life), name="projector", daemon=True
         )
-        projector.start()
+        with deaf_to_interrupts():
+            projector.start()
         theirs.close()
         life.close()
         self.processes: dict[str, Any] = {"projector": projector}
@@ -132,7 +133,8 @@ class ProjectorProcess:
             self._guard, theirs = context.Pipe()
             ward = Ward(parts.make_cover, folder, self.pid)
             guardian = context.Process(target=guard, args=(ward, theirs, alive), name="guardian", daemon=True)
-            guardian.start()
+            with deaf_to_interrupts():
+                guardian.start()
             self.processes["guardian"] = guardian
             theirs.close()
             alive.close()

@@ -16,9 +16,14 @@ FAULT = b"fault: "
 
 @contextlib.contextmanager
 def faults_told_to(orders: Connection[Any, Any]) -> Iterator[None]:
-    """Tell what ends a process by its error's own line; what is no error of vialight's ends it as ever."""
+    """Tell what ends a process by its error's own line; what is no error of vialight's ends it as ever.
+
+    Where nobody is left to talk to, the process that prints is gone: that ends this one in silence.
+    """
     try:
         yield
+    except (EOFError, ConnectionError):
+        pass
     except VialightError as error:
         with contextlib.suppress(OSError):
             orders.send_bytes(FAULT + str(error).encode())

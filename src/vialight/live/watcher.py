@@ -19,7 +19,7 @@ from vialight.live.following import LiveSettings, follow
 from vialight.live.talking import DONE, FAULT, FINISH, READY
 from vialight.live.window import beam_of
 from vialight.pipeline import grid_of_view
-from vialight.system import state_of
+from vialight.system import deaf_to_interrupts, state_of
 
 Name = Literal["follower", "analyst"]
 _T = TypeVar("_T")
@@ -102,7 +102,8 @@ class LiveWatcher:
         for name, work in works.items():
             orders[name], theirs = context.Pipe()
             processes[name] = context.Process(target=work, args=(self._settings, theirs), name=name, daemon=True)
-            processes[name].start()
+            with deaf_to_interrupts():
+                processes[name].start()
             theirs.close()
         with self._lock:
             self.processes, self._orders = processes, orders

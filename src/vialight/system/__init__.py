@@ -12,7 +12,7 @@
 
 from vialight.system.archives import open_archive
 from vialight.system.files import check_plain, file_in, open_plain, read_plain
-from vialight.system.interrupts import StopAsked, leave_interrupts_to_the_print
+from vialight.system.interrupts import StopAsked, deaf_to_interrupts, leave_interrupts_to_the_print
 from vialight.system.lines import LineWriter
 from vialight.system.memory import need_memory
 from vialight.system.processes import ProcessIdentity, ProcessState, identity_of, is_same_process, state_of
@@ -25,6 +25,7 @@ __all__ = [
     "ProcessState",
     "StopAsked",
     "check_plain",
+    "deaf_to_interrupts",
     "file_in",
     "identity_of",
     "is_same_process",

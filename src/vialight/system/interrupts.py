@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import signal
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -14,9 +17,30 @@ from typing import Any, Self
 def leave_interrupts_to_the_print() -> None:
     """Go on when the user presses Ctrl-C: what that ends, and when, is for the process that prints to decide.
 
-    For processes that a print has started, called first of all: a terminal sends Ctrl-C to every one of them.
+    For processes that a print has started, called first of all: a terminal sends Ctrl-C to every one of them.  From
+    then on Linux lists the process by the name that the print has given it, for who looks which one hangs.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/comm").write_text(multiprocessing.current_process().name, encoding="utf-8")
+
+
+@contextlib.contextmanager
+def deaf_to_interrupts() -> Iterator[None]:
+    """Start processes within that do not hear Ctrl-C even before their own first line has run.
+
+    Without, one that is still importing its modules dies of it.  Only the thread that starts them is deaf meanwhile;
+    where the system has no such thing, they are as before.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # multiprocessing's own, which lets the signal through again when it starts it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class StopAsked:

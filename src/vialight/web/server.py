@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from vialight.errors import InputError
-from vialight.system import leave_interrupts_to_the_print
+from vialight.system import deaf_to_interrupts, leave_interrupts_to_the_print
 
 if TYPE_CHECKING:
     import uvicorn
@@ -129,7 +129,8 @@ class PageProcess:
         self._process: SpawnProcess = context.Process(
             target=_serve_beside, args=(Path(root).resolve(), settings, far), name="vialight page", daemon=True
         )
-        self._process.start()
+        with deaf_to_interrupts():
+            self._process.start()
         far.close()
         with near:
             answer = near.recv() if near.poll(_START_TIMEOUT_S) else None

@@ -21,7 +21,7 @@ from vialight.devices.simulated.motion import Segments, SimulatedStage
 from vialight.devices.simulated.world import WorldAnswer, WorldOrder, WorldSettings, run_world
 from vialight.links import Mailbox
 from vialight.links.codec import decoder_of, encode
-from vialight.system import shared_folder
+from vialight.system import deaf_to_interrupts, shared_folder
 
 _START_TIMEOUT_S = 120.0
 _TRUTH_TIMEOUT_S, _DRAIN_S = 60.0, 0.02
@@ -75,9 +75,11 @@ class SimulatedPrinter:
         display = context.Process(target=run_display, args=(self.folder, their_ready), name="display", daemon=True)
         self.processes: dict[str, Any] = {"world": world, "display": display}
         try:
-            world.start()
+            with deaf_to_interrupts():
+                world.start()
             answer = decoder_of(WorldAnswer)(_answer(self._orders, their_orders, "simulated printer"))
-            display.start()
+            with deaf_to_interrupts():
+                display.start()
             _answer(ready, their_ready, "simulated display")
             their_frames.close()
             clock = SimulatedClock(self.folder / "clock")
@@ -132,6 +134,9 @@ class SimulatedPrinter:
             if process.pid is not None and process.is_alive():
                 process.terminate()
                 process.join(_END_TIMEOUT_S)
+                if process.is_alive():  # it was stopped, or hangs
+                    process.kill()
+                    process.join(_END_TIMEOUT_S)
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

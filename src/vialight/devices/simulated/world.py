@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 from dataclasses import dataclass, field
@@ -111,18 +112,19 @@ def run_world(
     orders.send_bytes(encode(WorldAnswer(twin.image_shape)))
     parent = multiprocessing.parent_process()
     assert parent is not None
-    while not wait([parent.sentinel], timeout=0):
-        if orders.poll(0 if world.is_due() else 0.002):
-            order = decoder_of(WorldOrder)(orders.recv_bytes())
-            if order.do == "frames":
-                world.start_camera(order.frame_rate_hz)
-            elif order.do == "put in":
-                twin.harden(voxelise(part, twin.grid, coverage=True))
-            elif order.do == "truth":
-                orders.send_bytes(encode(WorldAnswer(twin.image_shape, _write_truth(twin, Path(order.path)))))
-            else:
-                return
-        world.tick()
+    with contextlib.suppress(EOFError, ConnectionError):  # the process that prints has gone meanwhile
+        while not wait([parent.sentinel], timeout=0):
+            if orders.poll(0 if world.is_due() else 0.002):
+                order = decoder_of(WorldOrder)(orders.recv_bytes())
+                if order.do == "frames":
+                    world.start_camera(order.frame_rate_hz)
+                elif order.do == "put in":
+                    twin.harden(voxelise(part, twin.grid, coverage=True))
+                elif order.do == "truth":
+                    orders.send_bytes(encode(WorldAnswer(twin.image_shape, _write_truth(twin, Path(order.path)))))
+                else:
+                    return
+            world.tick()
 
 
 def _write_truth(twin: Twin, path: Path) -> dict[str, float] | None:
