@@ -194,7 +194,7 @@ def test_stop_by_socket_is_answered_and_confirmed_by_what_is_projected(
         until(socket, lambda told: bool(told["status"]) and told["status"]["pattern"] is not None)
         socket.send('{"order": {"do": "stop"}, "id": 7}')
         answer, _ = take(socket, "answer")
-        assert (answer["id"], answer["answer"]) == (7, {"state": "after"})
+        assert (answer["id"], answer["answer"]) == (7, {"state": "after", "is_dark": True, "is_over": True})
         assert until(socket, lambda told: told["status"]["pattern"] is None)["status"]["state"] == "after"
     assert not printing.is_lit
 
@@ -272,7 +272,10 @@ def test_a_print_that_was_killed_is_no_longer_live(tmp_path: Path) -> None:
         assert client.ask("/api/runs").json == []
         printing = PretendProcess(tmp_path / "ring")
         run = client.ask("/api/runs").json[0]
-        assert run["state"] == "printing"
+        deadline = time.monotonic() + 20.0
+        while run["fault"] == "is still being read" and time.monotonic() < deadline:
+            run = client.ask("/api/runs").json[0]  # its readers have only begun
+        assert run["state"] == "printing", run["fault"]
         with client.socket(f"/ws/{run['key']}/state") as socket:
             until(socket, lambda told: bool(told["live"]))
             printing.kill()
