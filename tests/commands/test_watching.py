@@ -78,3 +78,17 @@ def test_a_replay_onto_a_full_disk_ends_with_one_line(run: Path, monkeypatch: py
     with pytest.raises(DeviceError, match=r"does not come: disk: .*the disk is full"):
         watching.watch_run(run, rate=10.0, threshold=1.0)
     assert time.monotonic() - begun < 10
+
+
+def test_run_whose_files_lead_elsewhere_is_not_read(tmp_path: Path) -> None:
+    """A folder that somebody gave: what its links point at is not theirs to give."""
+    secret = tmp_path / "secret.toml"
+    secret.write_text("[vial]\nouter_radius_mm = 12.4\n")
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("rig.toml", "frames.h5"):
+        (run / name).symlink_to(secret)
+        with pytest.raises(InputError, match="leads out of its folder"):
+            watching.watch_run(run)
+        (run / name).unlink()
+        (run / name).write_text("")

@@ -24,7 +24,7 @@ from vialight.mesh import load_mesh
 from vialight.printing import EventLog, Recorder
 from vialight.sinogram import frames_a_turn
 from vialight.store import FrameWriter, open_frames
-from vialight.system import shared_folder, wait_for
+from vialight.system import check_plain, file_in, shared_folder, wait_for
 from vialight.viewing import columns_and_directions
 from vialight.web import PageProcess
 
@@ -34,6 +34,7 @@ _START_S = 30.0
 _READY_S = 180.0
 """In which the live measurement is ready, and in which it has seen the last frame."""
 _TAKEN_ALONG = ("rig.toml", "reference.stl", "plan.h5", "run.json", "projector.csv", "log.jsonl")
+_LARGEST_TAKEN_BYTES = 2_000_000_000
 
 
 def watch_run(
@@ -81,22 +82,23 @@ def watch_run(
         The disk refuses what is recorded anew, or a process that measures has ended.
     """
     run = Path(run)
-    rig = load_rig(run / "rig.toml")
+    rig, recording = load_rig(file_in(run, "rig.toml")), file_in(run, "frames.h5")
     LiveOptions(every_deg=every_deg)
     if threshold is None:
-        with open_frames(run / "frames.h5") as frames:
+        with open_frames(recording) as frames:
             threshold = rig.need_threshold(rig.imaged_under(frames.settings))
     if not (np.isfinite(rate) and 0.01 <= rate <= 100):
         raise InputError("--rate", f"is {rate}", accepted="0.01 to 100")
     with _folder(out) as folder, _mailboxes() as boxes:
         for name in _TAKEN_ALONG:
-            if (run / name).exists():
-                shutil.copyfile(run / name, folder / name)
+            if (given := file_in(run, name)).exists():
+                check_plain(given, _LARGEST_TAKEN_BYTES)
+                shutil.copyfile(given, folder / name)
         clock = SimulatedClock(boxes / "clock", rate)
-        camera = ReplayCamera(run / "frames.h5", clock)
+        camera = ReplayCamera(recording, clock)
         settings = LiveSettings(
             folder, boxes, rig, threshold, frames_a_turn(camera.angles_rad),
-            load_mesh(run / "reference.stl") if (run / "reference.stl").exists() else None, voxel_mm=voxel_mm,
+            load_mesh(part) if (part := file_in(run, "reference.stl")).exists() else None, voxel_mm=voxel_mm,
             every_deg=None if out is None else every_deg,
         )  # fmt: skip
         replay = _Replay(run, folder, boxes, camera, clock, LiveWatcher(settings))
@@ -124,7 +126,7 @@ class _Replay:
         rate_hz = (camera.count - 1) / max(float(np.ptp(camera.times_s)), 1e-9) if camera.count > 1 else 10.0
         self._log = EventLog(folder / "replay.jsonl", clock)
         self._recorder = Recorder(camera, clock, rate_hz, self._stage.angle_at, self._log, self._show_frame)
-        with open_frames(run / "frames.h5") as frames:
+        with open_frames(file_in(run, "frames.h5")) as frames:
             dark = frames.dark()
         self._writer = FrameWriter(
             folder / "frames.h5", camera.image_shape,
