@@ -8,11 +8,13 @@ whose numbers do not agree after copying tries again.
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Generic, Self, TypeVar
+from typing import Generic, Self, TypeVar
 
 from vialight.errors import InputError
 from vialight.links.codec import decoder_of, encode
@@ -67,10 +69,12 @@ class Mailbox(Generic[_T]):
     def __init__(self, path: str | Path, kind: type[_T], capacity: int | None = None) -> None:
         self.path = Path(path)
         self._decode: Callable[[bytes], _T] = decoder_of(kind)
-        self._file: BinaryIO | None = None
+        self._descriptor: int | None = None
+        self._let_go: Callable[[], object] | None = None
         if capacity is not None:
             make_shared_file(self.path, _HEAD.size + _SLOTS * (_SLOT_HEAD.size + capacity), _HEAD.size)
-            self._file = self.path.open("r+b")
+            self._descriptor = os.open(self.path, os.O_RDWR)
+            self._let_go = weakref.finalize(self, os.close, self._descriptor)
         self._map = map_shared_file(self.path, _HEAD.size)
         if capacity is not None:
             _HEAD.pack_into(self._map, 0, 0, capacity)
@@ -92,8 +96,8 @@ class Mailbox(Generic[_T]):
         """Let go of the memory; the file stays until its folder is removed."""
         with contextlib.suppress(BufferError):
             self._map.close()
-        if self._file is not None:
-            self._file.close()
+        if self._let_go is not None:
+            self._let_go()
 
     def put(self, message: _T) -> None:
         """Make a message the newest one.
@@ -105,14 +109,14 @@ class Mailbox(Generic[_T]):
         InputError
             There is not so much shared memory left.
         """
-        assert self._file is not None  # readers put nothing
+        assert self._descriptor is not None  # readers put nothing
         content = encode(message)
         if len(content) > self._capacity:
             raise ValueError(f"message of {len(content)} bytes in a mailbox of {self._capacity}")
         number = self._written + 1
         start, size = self._slot(number), _SLOT_HEAD.size + len(content)
         if size > self._reserved[number % _SLOTS]:
-            reserve(self.path, self._file.fileno(), start, size)
+            reserve(self.path, self._descriptor, start, size)
             self._reserved[number % _SLOTS] = size
         _SLOT_HEAD.pack_into(self._map, start, number, len(content), 0)
         self._map[start + _SLOT_HEAD.size : start + _SLOT_HEAD.size + len(content)] = content
