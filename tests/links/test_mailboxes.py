@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from vialight.errors import InputError
 from vialight.links import Mailbox
 from vialight.links.codec import decoder_of, encode
-from vialight.system import make_shared_file, shared_folder
+from vialight.system import make_shared_file, scratch_folder, shared_folder
 
 PATIENCE_S = 30.0
 
@@ -175,6 +175,10 @@ def test_folders_of_dead_processes_are_cleared_and_nothing_else(folder: Path) ->
         assert open_to_all.exists()
         assert folder.exists()
         assert folder.stat().st_mode & 0o077 == 0
+        on_disk = scratch_folder()
+        assert not on_disk.is_relative_to(folder.parent)
+        assert on_disk.stat().st_mode & 0o077 == 0
+        shutil.rmtree(on_disk)
     finally:
         for made in (left, not_ours, reused, open_to_all):
             shutil.rmtree(made, ignore_errors=True)

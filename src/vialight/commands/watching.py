@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,7 +23,7 @@ from vialight.mesh import load_mesh
 from vialight.printing import EventLog, Recorder
 from vialight.sinogram import frames_a_turn
 from vialight.store import FrameWriter, open_frames
-from vialight.system import check_plain, file_in, shared_folder, wait_for
+from vialight.system import check_plain, file_in, scratch_folder, shared_folder, wait_for
 from vialight.viewing import columns_and_directions
 from vialight.web import PageProcess
 
@@ -89,7 +88,7 @@ def watch_run(
             threshold = rig.need_threshold(rig.imaged_under(frames.settings))
     if not (np.isfinite(rate) and 0.01 <= rate <= 100):
         raise InputError("--rate", f"is {rate}", accepted="0.01 to 100")
-    with _folder(out) as folder, _mailboxes() as boxes:
+    with _folder(out) as folder, _removed_afterwards(shared_folder()) as boxes:
         for name in _TAKEN_ALONG:
             if (given := file_in(run, name)).exists():
                 check_plain(given, _LARGEST_TAKEN_BYTES)
@@ -261,8 +260,8 @@ def _refraction_delays(rig: Rig) -> dict[str, float]:
 @contextlib.contextmanager
 def _folder(out: str | Path | None) -> Iterator[Path]:
     if out is None:
-        with tempfile.TemporaryDirectory(prefix="vialight-watch-") as made:
-            yield Path(made)
+        with _removed_afterwards(scratch_folder()) as made:
+            yield made
         return
     folder = Path(out)
     if folder.exists() and any(folder.iterdir()):
@@ -272,8 +271,7 @@ def _folder(out: str | Path | None) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def _mailboxes() -> Iterator[Path]:
-    folder = shared_folder()
+def _removed_afterwards(folder: Path) -> Iterator[Path]:
     try:
         yield folder
     finally:

@@ -117,6 +117,8 @@ def send_order(link: LiveLink, order: Order, *, timeout_s: float = _ANSWER_TIMEO
     InputError
         The print refuses, does not answer in time, or is gone.
     """
+    if not link.key:
+        raise InputError("print", "is a recording that is replayed: it has no light", remedy="nothing is to be done")
     if order.get("do") == "stop":
         return stop_print(link, str(order.get("by", "unknown")), timeout_s=timeout_s)
     return _asked(link, order, timeout_s)

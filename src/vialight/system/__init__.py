@@ -16,7 +16,14 @@ from vialight.system.interrupts import StopAsked, deaf_to_interrupts, leave_inte
 from vialight.system.lines import LineWriter
 from vialight.system.memory import need_memory
 from vialight.system.processes import ProcessIdentity, ProcessState, identity_of, is_same_process, state_of
-from vialight.system.shared_files import is_shared_folder, make_shared_file, map_shared_file, reserve, shared_folder
+from vialight.system.shared_files import (
+    is_shared_folder,
+    make_shared_file,
+    map_shared_file,
+    reserve,
+    scratch_folder,
+    shared_folder,
+)
 from vialight.system.waiting import wait_for
 
 __all__ = [
@@ -38,6 +45,7 @@ __all__ = [
     "open_plain",
     "read_plain",
     "reserve",
+    "scratch_folder",
     "shared_folder",
     "state_of",
     "wait_for",

@@ -25,7 +25,15 @@ def shared_folder() -> Path:
 
     Folders of this user whose process is gone are cleared away.
     """
-    host = _host()
+    return _made_in(_host())
+
+
+def scratch_folder() -> Path:
+    """Make a private folder on the disk for what is not kept; those of processes that are gone are cleared away."""
+    return _made_in(Path(tempfile.gettempdir()))
+
+
+def _made_in(host: Path) -> Path:
     _clear_away_leavings(host)
     folder = host / f"{_PREFIX}{os.getpid()}-{secrets.token_hex(4)}"
     folder.mkdir(mode=0o700)
@@ -44,8 +52,12 @@ def is_shared_folder(path: str | Path, pid: int) -> bool:
     >>> shutil.rmtree(made)
     """
     path = Path(path)
+    return path.parent == _host() and _is_ours(path, pid)
+
+
+def _is_ours(path: Path, pid: int) -> bool:
     name = _NAME.fullmatch(path.name)
-    if name is None or int(name[1]) != pid or path.parent != _host():
+    if name is None or int(name[1]) != pid:
         return False
     try:
         found = path.lstat()
@@ -146,7 +158,7 @@ def _is_private(found: os.stat_result) -> bool:
 def _clear_away_leavings(host: Path) -> None:
     for left in host.glob(f"{_PREFIX}*"):
         name = _NAME.fullmatch(left.name)
-        if name is None or not is_shared_folder(left, int(name[1])):
+        if name is None or not _is_ours(left, int(name[1])):
             continue
         if not _has_owner(left, int(name[1])):
             shutil.rmtree(left, ignore_errors=True)
