@@ -5,14 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import subprocess
 import sys
-import tempfile
 import threading
 from pathlib import Path
 from typing import Any
 
 from vialight.errors import InputError
+from vialight.system import scratch_folder
 from vialight.web.runs import Run, own_folder
 
 _NICE = 10
@@ -24,7 +25,7 @@ class TimeLapses:
     """Makes and keeps time-lapses while the server runs."""
 
     def __init__(self) -> None:
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder: Path | None = None
         self._run: Run | None = None
         self._process: subprocess.Popen[str] | None = None
         self._states: dict[str, dict[str, Any]] = {}
@@ -35,7 +36,7 @@ class TimeLapses:
             self._process.terminate()
             self._process.wait(5)
         if self._folder is not None:
-            self._folder.cleanup()
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def begin(self, run: Run) -> dict[str, Any]:
         """Begin to draw one.
@@ -50,7 +51,7 @@ class TimeLapses:
                 return self.state(run)
             raise InputError("time-lapse", "another one is being drawn", remedy="wait for it")
         if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="vialight-page-")
+            self._folder = scratch_folder()
         self._run = run
         self._states[run.key] = {"state": "drawing", "done": 0, "total": None}
         command = [sys.executable, "-m", __name__, str(run.folder), str(self._path(run))]
@@ -71,7 +72,7 @@ class TimeLapses:
         return path if self.state(run)["state"] == "done" and path is not None and path.is_file() else None
 
     def _path(self, run: Run) -> Path | None:
-        return None if self._folder is None else Path(self._folder.name) / f"{run.key}.mp4"
+        return None if self._folder is None else self._folder / f"{run.key}.mp4"
 
     def _hear(self, run: Run, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
