@@ -303,7 +303,8 @@ class _Session:
 
     def _show_frame(self, image: CameraImage) -> None:
         self._image = image
-        self._camera_box.put(image)
+        with contextlib.suppress(InputError):  # no memory left to show it: it is recorded, and that is what counts
+            self._camera_box.put(image)
 
     def _enter(self, state: str, message: str) -> None:
         """Begin a phase, once all frames of the one before are on the disk for certain, or cannot be."""
@@ -323,7 +324,10 @@ class _Session:
 
     def _pass_time(self, duration_s: float, *, is_after: bool = False) -> None:
         end, patience_s = self._devices.clock.now_s() + duration_s, 10 * duration_s + 10
-        has_passed = lambda: self._devices.clock.now_s() >= end  # noqa: E731 - one line, used once
+
+        def has_passed() -> bool:
+            return self._devices.clock.now_s() >= end
+
         self._wait(has_passed, "print", "time does not pass", patience_s, is_after=is_after)
 
     def _wait(
