@@ -90,7 +90,7 @@ def test_another_process_reads_it(folder: Path) -> None:
 
 
 def test_message_larger_than_the_mailbox_is_refused(folder: Path) -> None:
-    with Mailbox(folder / "box", bytes, 100) as writer, pytest.raises(ValueError, match="mailbox of 100"):
+    with Mailbox(folder / "box", bytes, 100) as writer, pytest.raises(ValueError, match="mailbox of 104"):
         writer.put(bytes(200))
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from vialight.system import make_shared_file, map_shared_file
+import numpy as np
 
-_STATE = struct.Struct("<Qddddd")
-"""Version (odd while it is written), time and wall time of the last change, rate, limit, unused."""
+from vialight.system import make_shared_file, map_shared_file, words_of
+
+_VERSION, _BASE, _WALL, _RATE, _LIMIT, _COUNT = range(6)
+"""Version (odd while it is written), time and wall time of the last change, rate, limit."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,11 @@ class SimulatedClock:
     def __init__(self, path: Path, rate: float | None = None) -> None:
         self.path = path
         if rate is not None:
-            make_shared_file(path, _STATE.size)
-        self._map = map_shared_file(path, _STATE.size)
+            make_shared_file(path, 8 * _COUNT)
+        self._words = words_of(map_shared_file(path, 8 * _COUNT))
+        self._numbers = self._words.view(np.float64)
         if rate is not None:
-            _STATE.pack_into(self._map, 0, 0, 0.0, time.monotonic(), rate, 0.0, 0.0)
+            self._numbers[_BASE:_COUNT] = 0.0, time.monotonic(), rate, 0.0
 
     def __reduce__(self) -> tuple[type[SimulatedClock], tuple[Path]]:
         return SimulatedClock, (self.path,)
@@ -73,13 +75,13 @@ class SimulatedClock:
         now = time.monotonic()
         if base + rate * (now - wall) > limit:
             base, wall = limit, now
-        version = _STATE.unpack_from(self._map)[0]
-        struct.pack_into("<Q", self._map, 0, version + 1)
-        _STATE.pack_into(self._map, 0, version + 1, base, wall, rate, limit_s, 0.0)
-        struct.pack_into("<Q", self._map, 0, version + 2)
+        self._words[_VERSION] += np.uint64(1)
+        self._numbers[_BASE:_COUNT] = base, wall, rate, limit_s
+        self._words[_VERSION] += np.uint64(1)
 
     def _read(self) -> tuple[float, float, float, float]:
         while True:
-            version, base, wall, rate, limit, _ = _STATE.unpack_from(self._map)
-            if version % 2 == 0 and version == struct.unpack_from("<Q", self._map)[0]:
+            version = int(self._words[_VERSION])
+            base, wall, rate, limit = self._numbers[_BASE:_COUNT].tolist()
+            if version % 2 == 0 and version == int(self._words[_VERSION]):
                 return base, wall, rate, limit

@@ -9,21 +9,23 @@ from __future__ import annotations
 
 import contextlib
 import os
-import struct
 import weakref
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Generic, Self, TypeVar
 
+import numpy as np
+
 from vialight.errors import InputError
 from vialight.links.codec import decoder_of, encode
-from vialight.system import make_shared_file, map_shared_file, reserve
+from vialight.system import make_shared_file, map_shared_file, reserve, words_of
 
 _SLOTS = 3
-_HEAD = struct.Struct("<QQ")
+_WORD = 8
+_HEAD_BYTES = 2 * _WORD
 """Number of the newest message, capacity of a slot."""
-_SLOT_HEAD = struct.Struct("<QQQ")
+_SLOT_HEAD_BYTES = 3 * _WORD
 """Number before, length, number after."""
 _TRIES = 1000
 """After which a message that is never whole is taken for none: its writer has died in the middle of it."""
@@ -72,13 +74,15 @@ class Mailbox(Generic[_T]):
         self._descriptor: int | None = None
         self._let_go: Callable[[], object] | None = None
         if capacity is not None:
-            make_shared_file(self.path, _HEAD.size + _SLOTS * (_SLOT_HEAD.size + capacity), _HEAD.size)
+            capacity = -(-capacity // _WORD) * _WORD
+            make_shared_file(self.path, _HEAD_BYTES + _SLOTS * (_SLOT_HEAD_BYTES + capacity), _HEAD_BYTES)
             self._descriptor = os.open(self.path, os.O_RDWR)
             self._let_go = weakref.finalize(self, os.close, self._descriptor)
-        self._map = map_shared_file(self.path, _HEAD.size)
+        self._map = map_shared_file(self.path, _HEAD_BYTES)
+        self._words = words_of(self._map)
         if capacity is not None:
-            _HEAD.pack_into(self._map, 0, 0, capacity)
-        self._capacity = (len(self._map) - _HEAD.size) // _SLOTS - _SLOT_HEAD.size
+            self._words[1] = capacity
+        self._capacity = (len(self._map) - _HEAD_BYTES) // _SLOTS // _WORD * _WORD - _SLOT_HEAD_BYTES
         if self._capacity < 0:
             raise InputError(self.path, "is no mailbox", remedy="check that the print is running")
         self._written = 0
@@ -94,6 +98,7 @@ class Mailbox(Generic[_T]):
 
     def close(self) -> None:
         """Let go of the memory; the file stays until its folder is removed."""
+        self._words = np.empty(0, np.uint64)
         with contextlib.suppress(BufferError):
             self._map.close()
         if self._let_go is not None:
@@ -114,14 +119,17 @@ class Mailbox(Generic[_T]):
         if len(content) > self._capacity:
             raise ValueError(f"message of {len(content)} bytes in a mailbox of {self._capacity}")
         number = self._written + 1
-        start, size = self._slot(number), _SLOT_HEAD.size + len(content)
+        start, size = self._slot(number), _SLOT_HEAD_BYTES + len(content)
         if size > self._reserved[number % _SLOTS]:
             reserve(self.path, self._descriptor, start, size)
             self._reserved[number % _SLOTS] = size
-        _SLOT_HEAD.pack_into(self._map, start, number, len(content), 0)
-        self._map[start + _SLOT_HEAD.size : start + _SLOT_HEAD.size + len(content)] = content
-        _SLOT_HEAD.pack_into(self._map, start, number, len(content), number)
-        _HEAD.pack_into(self._map, 0, number, self._capacity)
+        words, place = self._words, start // _WORD
+        words[place + 2] = 0
+        words[place] = number
+        words[place + 1] = len(content)
+        self._map[start + _SLOT_HEAD_BYTES : start + size] = content
+        words[place + 2] = number
+        words[0] = number
         self._written = number
 
     def newest(self, after: int = 0) -> tuple[int, _T] | None:
@@ -133,13 +141,15 @@ class Mailbox(Generic[_T]):
             What is there is no such message.
         """
         for _ in range(_TRIES):
-            number, _capacity = _HEAD.unpack_from(self._map)
+            number = int(self._words[0])
             if number <= after:
                 return None
             start = self._slot(number)
-            before, length, behind = _SLOT_HEAD.unpack_from(self._map, start)
-            content = bytes(self._map[start + _SLOT_HEAD.size : start + _SLOT_HEAD.size + min(length, self._capacity)])
-            if before == behind == number == _SLOT_HEAD.unpack_from(self._map, start)[0]:
+            place = start // _WORD
+            behind, length = int(self._words[place + 2]), int(self._words[place + 1])
+            begin = start + _SLOT_HEAD_BYTES
+            content = bytes(self._map[begin : begin + min(length, self._capacity)])
+            if behind == number == int(self._words[place]):
                 try:
                     return number, self._decode(content)
                 except ValueError as error:
@@ -147,4 +157,4 @@ class Mailbox(Generic[_T]):
         return None
 
     def _slot(self, number: int) -> int:
-        return int(_HEAD.size + (number % _SLOTS) * (_SLOT_HEAD.size + self._capacity))
+        return int(_HEAD_BYTES + (number % _SLOTS) * (_SLOT_HEAD_BYTES + self._capacity))

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from vialight.system import make_shared_file, map_shared_file
+from vialight.system import make_shared_file, map_shared_file, words_of
 
 Beating = Literal["projector", "guardian", "follower", "analyst"]
 _STOP, _ENDED, _COVERED, _FIRST_BEAT = range(4)
@@ -59,7 +59,7 @@ class LightPanel:
         if is_new:
             make_shared_file(path, size)
         # Each number is written and read by one instruction, so that it is never seen half.
-        self._numbers = np.frombuffer(map_shared_file(path, size), np.float64, _COUNT)
+        self._numbers = words_of(map_shared_file(path, size)).view(np.float64)
 
     @classmethod
     def of(cls, folder: Path) -> LightPanel:

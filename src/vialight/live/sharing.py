@@ -10,11 +10,11 @@ import numpy as np
 
 from vialight.arrays import Float32Array, Grid
 from vialight.live.analysis import grid_of
-from vialight.system import make_shared_file, map_shared_file, wait_for
+from vialight.system import make_shared_file, map_shared_file, wait_for, words_of
 from vialight.vectors import padded_depth
 
-_HEAD = struct.Struct("<QQQddd")
-"""Number told, number looked at, frames, time, lit time, angle turned."""
+_TOLD, _LOOKED_AT, _FRAMES, _TIMES, _HEAD_WORDS = 0, 1, 2, 3, 6
+"""Number told, number looked at, frames; then as real numbers time, lit time, angle turned."""
 _GRID = struct.Struct("<QQQdd6Q")
 """Shape, voxel, centre; where the region begins and ends."""
 _BEGIN = 4096
@@ -56,7 +56,8 @@ class SharedVolume:
 
     def __init__(self, path: Path) -> None:
         self._map = map_shared_file(path, _BEGIN)
-        z, y, x, voxel, centre, *bounds = _GRID.unpack_from(self._map, _HEAD.size)
+        self._head = words_of(self._map)[:_HEAD_WORDS]
+        z, y, x, voxel, centre, *bounds = _GRID.unpack_from(self._map, 8 * _HEAD_WORDS)
         shape = (y, x, padded_depth(z))
         values = np.frombuffer(self._map, np.float32, offset=_BEGIN, count=int(np.prod(shape)))
         self.whole: Float32Array = values.reshape(shape)
@@ -72,14 +73,13 @@ class SharedVolume:
         fresh = path.with_name(f"{path.name}-made")
         make_shared_file(fresh, _BEGIN + 4 * y * x * padded_depth(z))
         with map_shared_file(fresh) as made:
-            _GRID.pack_into(made, _HEAD.size, z, y, x, grid.voxel_mm, grid.centre_z_mm, *bounds)
+            _GRID.pack_into(made, 8 * _HEAD_WORDS, z, y, x, grid.voxel_mm, grid.centre_z_mm, *bounds)
         fresh.replace(path)
         return cls(path)
 
     def is_free(self) -> bool:
         """Whether the moment told last has been looked at."""
-        told, looked_at, *_ = _HEAD.unpack_from(self._map)
-        return bool(told == looked_at)
+        return bool(self._head[_TOLD] == self._head[_LOOKED_AT])
 
     def wait_until_free(self, timeout_s: float) -> bool:
         """Wait for that; False where it takes too long."""
@@ -87,9 +87,9 @@ class SharedVolume:
 
     def tell(self, moment: Moment) -> None:
         """Say of when the volume is, and that it is to be looked at."""
-        told, looked_at, *_ = _HEAD.unpack_from(self._map)
-        _HEAD.pack_into(self._map, 0, told, looked_at, *moment)
-        struct.pack_into("<Q", self._map, 0, told + 1)
+        self._head[_FRAMES] = moment.frames
+        self._head.view(np.float64)[_TIMES:] = moment[1:]
+        self._head[_TOLD] += np.uint64(1)
 
     def wait_for_moment(self, timeout_s: float) -> Moment | None:
         """Wait until the volume is to be looked at; None where that does not come in time."""
@@ -98,9 +98,8 @@ class SharedVolume:
 
     def moment(self) -> Moment:
         """Return of when the volume was said to be last."""
-        return Moment(*_HEAD.unpack_from(self._map)[2:])
+        return Moment(int(self._head[_FRAMES]), *self._head.view(np.float64)[_TIMES:].tolist())
 
     def done(self) -> None:
         """Have looked at it, so that the next moment can be told."""
-        told, *_ = _HEAD.unpack_from(self._map)
-        struct.pack_into("<Q", self._map, 8, told)
+        self._head[_LOOKED_AT] = self._head[_TOLD]

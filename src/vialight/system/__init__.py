@@ -23,6 +23,7 @@ from vialight.system.shared_files import (
     reserve,
     scratch_folder,
     shared_folder,
+    words_of,
 )
 from vialight.system.waiting import wait_for
 
@@ -49,4 +50,5 @@ __all__ = [
     "shared_folder",
     "state_of",
     "wait_for",
+    "words_of",
 ]

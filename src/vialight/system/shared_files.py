@@ -12,6 +12,9 @@ import stat
 import tempfile
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vialight.errors import InputError
 from vialight.system.processes import ProcessIdentity, identity_of, is_same_process
 
@@ -141,6 +144,14 @@ def map_shared_file(path: Path, least: int = 1) -> mmap.mmap:
     if len(mapped) < least:
         raise InputError(path, f"has {len(mapped)} bytes", accepted=f"{least} or more, as a running print makes them")
     return mapped
+
+
+def words_of(mapped: mmap.mmap) -> NDArray[np.uint64]:
+    """Return mapped memory as numbers of 64 bits, each of which is written and read by one instruction.
+
+    `struct.pack_into` first clears what it then fills: another process may see that, and a writer may be stopped there.
+    """
+    return np.frombuffer(mapped, np.uint64, len(mapped) // 8)
 
 
 def _host() -> Path:
