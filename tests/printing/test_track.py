@@ -55,3 +55,14 @@ def test_no_angle_is_told_beyond_the_positions_but_for_a_short_span() -> None:
     assert np.isnan(track.angle_at(last_s + 0.021))
     assert np.isnan(track.angle_at(1.0))  # its positions are kept no longer
     assert track.turned_rad(last_s - 0.1, last_s + 0.1) == pytest.approx(0.2 * SPEED)
+
+
+def test_angle_in_a_gap_in_which_the_stage_was_not_heard_is_not_known() -> None:
+    """The process that prints was stopped for a while: the stage may have done anything."""
+    track = StageTrack(longest_gap_s=0.5)
+    for time_s in (0.0, 0.1, 0.2, 1.2, 1.3):
+        track.add(StagePosition(2 * time_s, time_s))
+    assert track.angle_at(0.15) == pytest.approx(0.3)
+    assert track.angle_at(1.25) == pytest.approx(2.5)
+    assert np.isnan([track.angle_at(time_s) for time_s in (0.25, 0.7, 1.19)]).all()
+    assert track.turned_rad(0.1, 1.3) == pytest.approx(2.4)  # of light, turns are counted all the same

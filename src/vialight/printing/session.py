@@ -23,7 +23,7 @@ from vialight.printing.light import LightOwner, LightRules
 from vialight.printing.log import EventLog
 from vialight.printing.recorder import Recorder, room_for
 from vialight.printing.settings import PrintSettings, StopMode
-from vialight.printing.track import StageTrack
+from vialight.printing.track import LONGEST_GAP_S, StageTrack
 from vialight.printing.watching import Watcher
 from vialight.store import FrameWriter, open_frames
 from vialight.system import wait_for
@@ -114,7 +114,7 @@ class _Session:
         self._speed = float(np.radians(rig.stage.speed_deg_s))
         self._log = EventLog(run / "log.jsonl", devices.clock)
         self._doubts = tuple(doubts)
-        self._track = StageTrack()
+        self._track = StageTrack(LONGEST_GAP_S * devices.clock.rate)
         self._camera_box = Mailbox(
             mailboxes / "camera", CameraImage, 2**16 + 2 * int(np.prod(devices.camera.image_shape))
         )

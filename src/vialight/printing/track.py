@@ -16,12 +16,19 @@ _SPEED_OVER_S = 0.12
 """Speed is that of the positions over this time: short enough to see a stall, long enough for an encoder's steps."""
 _WAIT_S = 0.3
 """By the wall clock, after a position came, for the next one, which a frame waits for."""
+LONGEST_GAP_S = 0.5
+"""By the wall clock: a stage that was not heard for longer may have stalled and caught up meanwhile."""
 BEYOND_S = 0.02
 """On the print's clock, before the first position and after the last: a stage that stalls is 0.4 deg behind by then."""
 
 
 class StageTrack:
     """Positions of the stage, one thread adding, others asking.
+
+    Parameters
+    ----------
+    longest_gap_s
+        On the print's clock: where the stage was not heard for longer, its motion between is not known.
 
     Examples
     --------
@@ -32,7 +39,8 @@ class StageTrack:
     (0.25, nan, 1.0)
     """
 
-    def __init__(self) -> None:
+    def __init__(self, longest_gap_s: float = LONGEST_GAP_S) -> None:
+        self._longest_gap_s = longest_gap_s
         self._positions: deque[StagePosition] = deque(maxlen=_KEPT)
         self._came_s = float("-inf")
         self._lock = threading.Condition()
@@ -53,6 +61,7 @@ class StageTrack:
     def angle_at(self, time_s: float) -> float:
         """Return the angle at a time: between positions by a straight line; rad.
 
+        Between positions that lie too far apart it is not known: NaN.
         Up to `BEYOND_S` beyond them it goes on at the speed there; still further, it is not known: NaN.
         """
         with self._lock:
@@ -63,6 +72,9 @@ class StageTrack:
             return float(angles[0] + (angles[1] - angles[0]) / (times[1] - times[0]) * (time_s - times[0]))
         if time_s > times[-1]:
             return float(angles[-1] + self.speed_rad_s() * (time_s - times[-1]))
+        after = int(np.searchsorted(times, time_s))
+        if after and times[after] - times[after - 1] > self._longest_gap_s:
+            return float("nan")
         return float(np.interp(time_s, times, angles))
 
     def settled_angle_at(self, time_s: float) -> float:
