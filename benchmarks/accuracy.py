@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from vialight.config import load_rig
-from vialight.mesh import Mesh, load_mesh
+from vialight.core.mesh import Mesh
 from vialight.metrology import sample_surface, signed_distance, unsigned_distance
-from vialight.pipeline import Scan, Settings, open_scan, reconstruct
+from vialight.metrology.surface import isosurface, pieces
 from vialight.store import open_frames
-from vialight.surface import isosurface, pieces
+from vialight.store.foreign.meshes import load_mesh
+from vialight.store.rig_files import load_rig
+from vialight.tomography.reconstruct import Scan, Settings, open_scan, reconstruct
 
 THRESHOLD = 100.0
 SETTINGS = {

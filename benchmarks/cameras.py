@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from vialight.config import CameraSettings
+from vialight.core.config import CameraSettings
 from vialight.devices import MonotonicClock
 from vialight.devices.cameras import GenicamCamera
 from vialight.devices.cameras.aravis import AravisLink

@@ -1,4 +1,4 @@
-"""Plan parts with and without a ceiling on light, judge both as `planning` does, and print a table.
+"""Plan parts with and without a ceiling on light, judge both as `plans` does, and print a table.
 
 Usage: ``python benchmarks/ceiling.py [--short] [--peer-python PYTHON]``.  PYTHON is an interpreter that has pymeshlab,
 for the bunny.  Some minutes on two cores.
@@ -12,9 +12,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from planning import HELD, Part, Peers, Way, judge, optimise, parts, patterns_of
+from plans import HELD, Part, Peers, Way, judge, optimise, parts, patterns_of
 
-from vialight.projections import CEILING, method_named
+from vialight.planning.projections import CEILING, method_named
 
 PASSES = 20
 CEILINGS = (1.0, CEILING)

@@ -20,14 +20,15 @@ import igl
 import numpy as np
 from scipy.special import expit
 
-from vialight.arrays import Float32Array, FloatArray, Grid
 from vialight.commands import PlanSettings, plan_part
-from vialight.config import load_rig
-from vialight.mesh import Mesh, load_mesh
+from vialight.core.arrays import Float32Array, FloatArray, Grid
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Plan
 from vialight.metrology import sample_surface, unsigned_distance
-from vialight.plan import Plan
-from vialight.scoring import dose_of_patterns, judged_voxels
+from vialight.planning.scoring import dose_of_patterns, judged_voxels
 from vialight.store import open_frames, read_plan, rig_to_toml
+from vialight.store.foreign.meshes import load_mesh
+from vialight.store.rig_files import load_rig
 from vialight.twin import Twin, TwinSettings, dose_of, find_rig, grid_round, load_resin, play
 from vialight.twin.camera import frames_of, imager_for
 from vialight.twin.poses import Pose
@@ -40,7 +41,7 @@ SAMPLES = 30_000
 def planned(path: Path, settings: PlanSettings | None = None) -> Plan:
     """Read the plan, or make it: by default `vialight plan --voxel 0.1 --ceiling 1`."""
     if not path.exists():
-        part = Path(str(files("vialight") / "sample" / "part.stl"))
+        part = Path(str(files("vialight") / "commands" / "sample" / "part.stl"))
         rig = path.with_suffix(".toml")
         rig.write_text(rig_to_toml(RESIN.in_vial_of(RIG)), encoding="utf-8")
         scale = float(SIZE_MM / load_mesh(part).extents_mm.max())

@@ -26,8 +26,8 @@ from devices.xvfb import Xvfb
 from printing.prints import BINNING, TURN_S, write_quick_plan
 from vialight.devices.simulated.display import BLACK, read_flips
 from vialight.devices.simulated.motion import Segments, angle_at
-from vialight.links import Mailbox
 from vialight.store import rig_to_toml, write_plan
+from vialight.system.mailboxes import Mailbox
 
 TURNS = 3
 _STDERR = "told.txt"

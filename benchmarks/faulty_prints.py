@@ -22,9 +22,12 @@ import psutil
 from fault_scenes import Scene, Watched
 from fault_verdicts import Found, judged
 
-from vialight.errors import VialightError
-from vialight.links import CameraImage, LiveLink, Mailbox, PrintStatus, find_live_print, send_order
+from vialight.core.errors import VialightError
+from vialight.core.messages import CameraImage, PrintStatus
+from vialight.printing.live_link import LiveLink, find_live_print
+from vialight.printing.order_channel import send_order
 from vialight.store import open_frames, read_json
+from vialight.system.mailboxes import Mailbox
 
 Victim = Literal["print", "projector", "guardian", "display", "world", "follower", "analyst", "page"]
 Moment = Literal["preflight", "background", "first light", "printing", "last turn", "after", "measuring"]

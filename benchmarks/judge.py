@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from vialight.arrays import Float32Array, FloatArray
-from vialight.vectors import FAST_MATH
+from vialight.core.arrays import Float32Array, FloatArray
+from vialight.core.compiling import FAST_MATH
 
 SUBVOXELS = 3
 """Along x and along y, and angles for each pattern."""

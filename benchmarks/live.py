@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from reconstruction import CORES, machine
 from synthetic import COLUMNS, DARK_COUNTS, FRAMES, Problem, rig
 
-from vialight.arrays import Grid
-from vialight.config import Rig
-from vialight.live import window as window_module
-from vialight.live.window import SlidingWindow
-from vialight.volume import reconstruct_slices
+from vialight.core.arrays import Grid
+from vialight.core.config import Rig
+from vialight.tomography.sliding import window as window_module
+from vialight.tomography.sliding.window import SlidingWindow
+from vialight.tomography.volume import reconstruct_slices
 
 ROWS = 300
 TURNS, SHORT_TURNS = 20, 2

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from vialight.arrays import Float32Array, FloatArray, Grid
-from vialight.mesh import Mesh
-from vialight.projections import Goal, Light, dose_of, light_for
-from vialight.projections.light import filtered_projections
-from vialight.projections.methods import normalised
-from vialight.radon import backproject, ramp_filter
-from vialight.scoring import Score, score_dose
-from vialight.shapes import bracket, gyroid, thin_wall_box
-from vialight.target import target_grid, voxelise
+from vialight.core.arrays import Float32Array, FloatArray, Grid
+from vialight.core.mesh import Mesh
+from vialight.planning.projections import Goal, Light, dose_of, light_for
+from vialight.planning.projections.forward import filtered_projections
+from vialight.planning.projections.methods import normalised
+from vialight.planning.scoring import Score, score_dose
+from vialight.planning.shapes import bracket, gyroid, thin_wall_box
+from vialight.planning.target import target_grid, voxelise
+from vialight.tomography.radon import backproject, ramp_filter
 
 VOXEL_MM, ANGLES = 0.3, 120
 PASSES = (1, 2, 4, 8, 16, 32)

@@ -26,7 +26,9 @@ from websockets.sync.client import ClientConnection, connect
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from vialight.links import Mailbox, Snapshot, find_live_print
+from vialight.core.messages import Snapshot
+from vialight.printing.live_link import find_live_print
+from vialight.system.mailboxes import Mailbox
 from vialight.web import PageProcess, PageSettings
 from vialight.web.encoding import unpack
 from web.browser import all_flags, chromium, find_chromium, wait

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import Float32Array, FloatArray
-from vialight.radon import ramp_filter
-from vialight.volume import DEFAULT_FILTER
+from vialight.core.arrays import Float32Array, FloatArray
+from vialight.tomography.radon import ramp_filter
+from vialight.tomography.volume import DEFAULT_FILTER
 
 
 def finufft_fbp(

@@ -1,6 +1,6 @@
 """Light patterns by other packages, each in a process of its own and as its examples call it.
 
-Usage: ``python benchmarks/planning_peers.py METHOD CASE.npz OUT.npz``, started by `planning` with the interpreter that
+Usage: ``python benchmarks/planning_peers.py METHOD CASE.npz OUT.npz``, started by `plans` with the interpreter that
 has the packages; without arguments it says which are there.  A case holds ``inside`` (z, y, x), ``voxel_mm``, the mesh
 as ``vertices_mm`` and ``faces``, and ``angles`` in a full turn; what comes out are ``patterns`` (angle, row, column) in
 floats, ordered as vialight's, with ``seconds`` and ``processor_seconds``, of all threads together, that the

@@ -30,9 +30,10 @@ from numpy.typing import NDArray
 from peers import astra_fbp, finufft_fbp, skimage_fbp
 from synthetic import COLUMNS, FRAMES, Problem
 
-from vialight import pipeline, volume
-from vialight.arrays import Float32Array
-from vialight.pipeline import Settings, reconstruct
+from vialight.core.arrays import Float32Array
+from vialight.tomography import reconstruct as pipeline
+from vialight.tomography import volume
+from vialight.tomography.reconstruct import Settings, reconstruct
 
 CORES = 2
 SLICES, SHORT_SLICES = 300, 32

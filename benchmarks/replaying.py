@@ -2,7 +2,7 @@
 
 Usage: ``python benchmarks/replaying.py [--turns 20] [--cases 0 1 2] [--markdown docs/benchmarks-replaying.md]``.
 
-Frames of an object that grows brighter, at the rate of a real print; through `vialight.commands.watching`, with all
+Frames of an object that grows brighter, at the rate of a real print; through `vialight.commands.watch`, with all
 that a print has: recording, live volume with each frame, surface once a second.
 """
 
@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 import psutil
+from live import CASES, Case, _pool
 from reconstruction import machine
 from synthetic import DARK_COUNTS, FRAMES
 
-from live import CASES, Case, _pool
-from vialight.commands.watching import watch_run
-from vialight.config import Stage
+from vialight.commands.watch import watch_run
+from vialight.core.config import Stage
 from vialight.store import FrameWriter, rig_to_toml
 
 

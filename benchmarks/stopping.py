@@ -20,22 +20,25 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import Float32Array, FloatArray, IntArray
 from vialight.commands import PlanSettings
-from vialight.commands.rehearsing import Design, Rehearser, lowest
-from vialight.commands.stop_models import stop_model_for
-from vialight.config import Rig
-from vialight.feedback import StopModel, StopPrediction, fresh_history, observe, places, predict, sample, should_stop
-from vialight.live import SlidingWindow
-from vialight.mesh import Mesh, load_mesh
-from vialight.plan import Plan
-from vialight.projections import Goal, light_for, make_patterns, method_named, optimise, strip_positions
-from vialight.shapes import bracket, gyroid, thin_wall_box
-from vialight.target import target_grid, voxelise
+from vialight.control.history import fresh_history, observe, places, sample
+from vialight.control.prediction import StopPrediction, predict, should_stop
+from vialight.control.rehearsal import Design, Rehearser, lowest
+from vialight.control.rehearsed_model import stop_model_for
+from vialight.control.stop_model import StopModel
+from vialight.core.arrays import Float32Array, FloatArray, IntArray
+from vialight.core.config import Rig
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Plan
+from vialight.optics.viewing import ray_tilt
+from vialight.planning.projections import Goal, light_for, make_patterns, method_named, optimise, strip_positions
+from vialight.planning.shapes import bracket, gyroid, thin_wall_box
+from vialight.planning.target import target_grid, voxelise
+from vialight.store.foreign.meshes import load_mesh
+from vialight.tomography.sliding.window import SlidingWindow
 from vialight.twin import Faults, ResinModel, Twin, TwinSettings, find_rig, grid_round, load_resin, play
 from vialight.twin.chemistry import Cure, cure, fresh
 from vialight.twin.truth import gelled_surface
-from vialight.viewing import ray_tilt
 
 VOXEL_MM, BINNING = 0.2, 2
 ANGLES, PASSES = 180, 20
@@ -54,7 +57,7 @@ SIGMAS = 2.0
 """Errors up to so many standard deviations count as covered."""
 
 BOAT = Path(os.environ.get("VIALIGHT_CASES", Path(__file__).parents[2] / "shared" / "cases")) / "boat" / "boat.stl"
-SAMPLE = Path(__file__).parents[1] / "src" / "vialight" / "sample" / "part.stl"
+SAMPLE = Path(__file__).parents[1] / "src" / "vialight" / "commands" / "sample" / "part.stl"
 PARTS: dict[str, Callable[[], Mesh]] = {
     "boat": lambda: load_mesh(BOAT),
     "part": lambda: load_mesh(SAMPLE),

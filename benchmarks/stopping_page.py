@@ -141,7 +141,7 @@ All that is known beforehand is a rehearsal of the plan in resins of nominal che
 - *best*: lit time after which the final shape, dark cure included, has the least two-sided RMSE to the design,
   `sqrt((RMSE(print to design)^2 + RMSE(design to print)^2) / 2)`.  The twin's state is kept every 2 s, its light cut,
   its dark cure let finish; the best is the lowest point of a parabola through the squares.
-- *auto*: lit time at which `feedback.should_stop` turned the light off; *error*: its dose relative to the best.
+- *auto*: lit time at which `control.should_stop` turned the light off; *error*: its dose relative to the best.
 - *sigma*: the stated standard deviation; *covered*: predicted and best differ by no more than {sigmas:g} of them.
 - *first told*: when a prediction was first good enough to act on.
 """

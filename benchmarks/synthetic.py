@@ -13,12 +13,12 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from vialight.arrays import BoolArray, Float32Array, FloatArray, Grid, IntArray, ParallelBeam
-from vialight.config import Camera, Optics, Resin, Rig, Vial
-from vialight.pipeline import Scan, Settings, open_scan
-from vialight.refraction import camera_to_virtual
-from vialight.sinogram import parallel_beam
+from vialight.core.arrays import BoolArray, Float32Array, FloatArray, Grid, IntArray, ParallelBeam
+from vialight.core.config import Camera, Optics, Resin, Rig, Vial
+from vialight.optics.refraction import camera_to_virtual
 from vialight.store import FrameFile
+from vialight.tomography.reconstruct import Scan, Settings, open_scan
+from vialight.tomography.sinogram import parallel_beam
 
 FRAMES, COLUMNS = 180, 480
 FIELD_SHARE = 0.9

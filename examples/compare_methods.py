@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import get_args
 
 from vialight.commands import PlanSettings, plan_part
-from vialight.projections import MethodName
-from vialight.shapes import bracket
+from vialight.planning.projections import MethodName
+from vialight.planning.shapes import bracket
 from vialight.store import write_stl
 
 
@@ -22,7 +22,7 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp())
     part = folder / "bracket.stl"
     write_stl(part, bracket(pitch_mm=0.2))
-    printer = Path(str(files("vialight") / "sample" / "printer.toml"))
+    printer = Path(str(files("vialight") / "commands" / "sample" / "printer.toml"))
     print(f"{'method':<14}{'Jaccard':>9}{'window':>9}{'range':>9}{'errors':>9}{'s':>7}")
     for method in get_args(MethodName):
         settings = PlanSettings(method=method, passes=2 if method == "gradient" else None, voxel_mm=0.3, angles=90)

@@ -20,12 +20,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from vialight.arrays import BoolArray, Float32Array, Grid, Volume
-from vialight.mesh import Mesh
-from vialight.plan import Patterns
-from vialight.projections import Goal, light_for, make_patterns, method_named, optimise
-from vialight.surface import isosurface
-from vialight.target import target_grid, voxelise
+from vialight.core.arrays import BoolArray, Float32Array, Grid, Volume
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Patterns
+from vialight.metrology.surface import isosurface
+from vialight.planning.projections import Goal, light_for, make_patterns, method_named, optimise
+from vialight.planning.target import target_grid, voxelise
 from vialight.twin import Twin, TwinSettings, dose_a_turn_mj_per_cm2, find_rig, grid_round, load_resin, play
 
 VOXEL_MM = 0.15

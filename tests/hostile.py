@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 
 LONGEST_S = 5.0
 MOST_BYTES = 1_000_000_000
@@ -18,7 +18,7 @@ _GIVEN_UP_S = 60.0
 
 _FORKS = multiprocessing.get_context("forkserver")
 _FORKS.set_forkserver_preload(
-    ["h5py", "hdf5plugin", "trimesh", "zarr", "vialight.store", "vialight.commands.kinetics", "vialight.mesh"]
+    ["h5py", "hdf5plugin", "trimesh", "zarr", "vialight.store", "vialight.commands.kinetics", "vialight.core.mesh"]
 )
 """Imported once, so that neither time nor memory of it is counted."""
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.special import expit
 
-from vialight.arrays import Float32Array, FloatArray, Grid
-from vialight.config import Rig
+from vialight.core.arrays import Float32Array, FloatArray, Grid
+from vialight.core.config import Rig
 from vialight.twin.camera import frames_of, imager_for
 from vialight.twin.poses import Pose
 

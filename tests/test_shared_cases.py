@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from soft_parts import Field, frames_of_part
-from vialight.arrays import FloatArray, Grid, IntArray, Volume
-from vialight.config import Camera, Resin, Rig, Vial, load_rig
-from vialight.mesh import Mesh, load_mesh
+from vialight.core.arrays import FloatArray, Grid, IntArray, Volume
+from vialight.core.config import Camera, Resin, Rig, Vial
+from vialight.core.mesh import Mesh
 from vialight.metrology.distance import deviation, sample_surface
-from vialight.pipeline import Settings, open_scan, reconstruct
+from vialight.metrology.surface import isosurface, pieces
 from vialight.store import open_frames, write_frames
-from vialight.surface import isosurface, pieces
+from vialight.store.foreign.meshes import load_mesh
+from vialight.store.rig_files import load_rig
+from vialight.tomography.reconstruct import Settings, open_scan, reconstruct
 from vialight.twin.sensor import Sensor
 
 THRESHOLD = 100.0

@@ -15,11 +15,11 @@ from click.testing import CliRunner
 
 from vialight.cli import main
 from vialight.commands import demo
-from vialight.commands.rehearsing import Rehearser
-from vialight.commands.stop_models import camera_resolution_mm
-from vialight.config import load_rig
-from vialight.mesh import load_mesh
+from vialight.control.rehearsal import Rehearser
+from vialight.control.rehearsed_model import camera_resolution_mm
 from vialight.store import list_history, read_plan, read_series
+from vialight.store.foreign.meshes import load_mesh
+from vialight.store.rig_files import load_rig
 from vialight.twin import load_resin
 
 pytestmark = pytest.mark.alone

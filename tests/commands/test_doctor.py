@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from devices.cameras.fake import ADDRESS, fake_camera
 from devices.gcs2 import Controller, served_over_tcp
 from vialight.cli import main
-from vialight.commands.findings import Finding, frame_findings, monitor_findings, session_findings
+from vialight.commands.doctor_findings import DoctorFinding, frame_findings, monitor_findings, session_findings
 from vialight.devices import CameraFrame
 from vialight.devices.projectors import Monitor
 from vialight.store import open_frames
@@ -36,7 +36,7 @@ def frames(
     ]
 
 
-def told(findings: list[Finding]) -> list[tuple[str, str]]:
+def told(findings: list[DoctorFinding]) -> list[tuple[str, str]]:
     return [(one.state, one.told) for one in findings]
 
 

@@ -11,14 +11,14 @@ import pytest
 
 from hostile import refused
 from vialight.commands.kinetics import kinetics_of
-from vialight.commands.measuring import measure_surface
-from vialight.commands.shown_light import light_of, patterns_shown
-from vialight.config import Rig
-from vialight.errors import InputError
-from vialight.feedback import StopModel
-from vialight.live import Place
-from vialight.live.lit_time import LitTime
-from vialight.mesh import Mesh
+from vialight.commands.measure import measure_surface
+from vialight.control.looking_back import Place
+from vialight.control.stop_model import StopModel
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.metrology.kinetics.shown_light import light_of, patterns_shown
+from vialight.printing.live.lit_time import LitTime
 from vialight.store import open_frames, write_frames, write_json, write_stl
 
 CORNER = Mesh(

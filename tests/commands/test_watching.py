@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from printing.prints import quick_rig
-from vialight.commands import watching
+from vialight.commands import watch as watching
+from vialight.core.errors import InputError
 from vialight.devices import DeviceError
-from vialight.errors import InputError
 from vialight.store import FrameWriter, rig_to_toml, write_frames
 
 

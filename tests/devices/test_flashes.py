@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from commands.test_calibrating_latency import write_two_turns
+from calibration.test_latency_command import write_two_turns
 from devices.cameras import screen_camera
 from devices.cameras.fake import ADDRESS, fake_camera
 from devices.xvfb import COLUMNS, ROWS, Xvfb, needs_xvfb
+from vialight.calibration.latency import command as latency
 from vialight.cli import main
-from vialight.commands.calibrating import latency
-from vialight.config import load_rig
+from vialight.store.rig_files import load_rig
 
 pytestmark = [needs_xvfb, pytest.mark.alone]
 

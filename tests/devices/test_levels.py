@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from vialight.config import ProjectorSettings
+from vialight.core.config import ProjectorSettings
+from vialight.core.errors import InputError
 from vialight.devices.projectors.levels import light_of_levels, read_flat_field, sent_levels
-from vialight.errors import InputError
 
 ALL = np.arange(256, dtype=np.uint8)[None]
 GAMMA = tuple((float(level), 3.0 * (level / 255) ** 2.2) for level in range(0, 256, 15))

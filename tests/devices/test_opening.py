@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vialight.config import Rig
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
 from vialight.devices import DeviceError, MonotonicClock, ProjectorParts, ProjectorProcess
 from vialight.devices.opening import names_devices, open_camera, open_stage
 from vialight.devices.projectors import list_monitors
-from vialight.errors import InputError
 
 pytestmark = pytest.mark.alone
 

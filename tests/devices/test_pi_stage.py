@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from devices.gcs2 import Controller, TcpServer, served_over_pty, served_over_tcp
-from vialight.config import Stage, StageSettings
+from vialight.core.config import Stage, StageSettings
+from vialight.core.errors import InputError
 from vialight.devices import DeviceError, DeviceTimeoutError, MonotonicClock, StagePosition
 from vialight.devices.stages import open_stage
 from vialight.devices.stages.pi import PiStage
-from vialight.errors import InputError
-from vialight.printing import StageTrack
+from vialight.printing.track import StageTrack
 
 pytestmark = pytest.mark.alone
 

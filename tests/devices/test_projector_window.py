@@ -15,16 +15,16 @@ from PIL import Image
 
 from devices.xvfb import COLUMNS, ROWS, Xvfb, needs_xvfb
 from twin.test_print import upright_cylinder
-from vialight.arrays import Grid
-from vialight.config import Projector, ProjectorSettings, Rig
+from vialight.core.arrays import Grid
+from vialight.core.config import Projector, ProjectorSettings, Rig
+from vialight.core.errors import InputError
+from vialight.core.plan import Patterns, Plan
 from vialight.devices import DeviceError, DeviceGoneError, Lease, LightPhase, MonotonicClock, ProjectorProcess
+from vialight.devices.panel import LightPanel
 from vialight.devices.projectors import list_monitors, open_projector, randr, told_of_projector
 from vialight.devices.projectors.curtain import draw_curtain
 from vialight.devices.projectors.levels import light_of_levels, sent_levels
 from vialight.devices.projectors.window import WindowScreen
-from vialight.errors import InputError
-from vialight.links import LightPanel
-from vialight.plan import Patterns, Plan
 from vialight.store import write_plan
 from vialight.system import wait_for
 

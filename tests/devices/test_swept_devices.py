@@ -16,10 +16,13 @@ from click.testing import CliRunner
 from devices.cameras.fake import ADDRESS, fake_camera
 from devices.gcs2 import Controller, served_over_tcp
 from devices.xvfb import COLUMNS, ROWS, Xvfb, needs_xvfb
+from vialight.calibration.projector import command as projector
+from vialight.calibration.projector.command import SweepOptions
 from vialight.cli import main
-from vialight.commands.calibrating import SweepOptions, calibrate_projector, projector
-from vialight.config import Rig, changed_rig, load_rig
+from vialight.commands.calibrate import calibrate_projector
+from vialight.core.config import Rig
 from vialight.store import open_frames, rig_to_toml
+from vialight.store.rig_files import changed_rig, load_rig
 from vialight.twin import find_rig, load_resin
 
 pytestmark = [needs_xvfb, pytest.mark.alone]

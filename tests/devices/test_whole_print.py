@@ -22,10 +22,11 @@ from devices.xvfb import COLUMNS, ROWS, Xvfb, needs_xvfb
 from printing.prints import quick_rig
 from twin.rigs import patterns_of
 from twin.test_print import upright_cylinder
-from vialight.arrays import Grid
-from vialight.config import Rig, changed_rig
-from vialight.plan import Patterns, Plan
+from vialight.core.arrays import Grid
+from vialight.core.config import Rig
+from vialight.core.plan import Patterns, Plan
 from vialight.store import open_frames, read_json, rig_to_toml, write_plan
+from vialight.store.rig_files import changed_rig
 
 pytestmark = [needs_xvfb, pytest.mark.alone]
 

@@ -12,12 +12,13 @@ import numpy as np
 
 from twin.rigs import patterns_of
 from twin.test_print import upright_cylinder
-from vialight.arrays import Grid
-from vialight.config import Rig
+from vialight.core.arrays import Grid
+from vialight.core.config import Rig
+from vialight.core.messages import StopForecast
+from vialight.core.plan import Plan
 from vialight.devices.simulated import Mishaps, SimulatedPrinter, WorldSettings
-from vialight.links import StopForecast
-from vialight.plan import Plan
-from vialight.printing import PrintSettings, print_plan
+from vialight.printing.session import print_plan
+from vialight.printing.settings import PrintSettings
 from vialight.store import rig_to_toml, write_plan
 from vialight.twin import TwinSettings, find_rig, load_resin
 

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from calibrate.wobbling import PIXEL_MM, RIG, SHAPE
-from vialight.arrays import FloatArray
-from vialight.config import Reference, Rig, changed_rig
-from vialight.printing import doubts_of_background, doubts_of_rig
+from calibration.wobbling import PIXEL_MM, RIG, SHAPE
+from vialight.core.arrays import FloatArray
+from vialight.core.config import Reference, Rig
+from vialight.printing.doubts import doubts_of_background, doubts_of_rig
+from vialight.store.rig_files import changed_rig
 from vialight.twin import Faults
 from vialight.twin.camera import imager_for
 from vialight.twin.sensor import Sensor, StrayLight

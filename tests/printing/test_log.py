@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from vialight.devices import MonotonicClock
-from vialight.printing import EventLog
 from vialight.printing import log as log_module
+from vialight.printing.log import EventLog
 
 
 def lines_of(path: Path) -> list[dict[str, object]]:
@@ -97,7 +97,7 @@ def test_a_log_that_nobody_closed_is_whole_when_the_process_ends(tmp_path: Path)
         import sys
         from pathlib import Path
         from vialight.devices import MonotonicClock
-        from vialight.printing import EventLog
+        from vialight.printing.log import EventLog
         log = EventLog(Path(sys.argv[1]), MonotonicClock())
         for number in range(300):
             log.note("frame", number=number)

@@ -9,9 +9,10 @@ import pytest
 
 from printing.prints import recorded_rig
 from twin.test_print import upright_cylinder
-from vialight.errors import InputError
-from vialight.live import LiveSettings, LiveWatcher
+from vialight.core.errors import InputError
 from vialight.printing import preflight
+from vialight.printing.live.following import LiveSettings
+from vialight.printing.live.watcher import LiveWatcher
 
 IMAGE = np.zeros((30, 44), np.uint16)
 

@@ -15,9 +15,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vialight.core.messages import CameraImage
 from vialight.devices import CameraFrame, DeviceError, DeviceLostError, DeviceTimeoutError, StagePosition
-from vialight.links import CameraImage
-from vialight.printing import EventLog, Recorder, StageTrack
+from vialight.printing.log import EventLog
+from vialight.printing.recorder import Recorder
+from vialight.printing.track import StageTrack
 from vialight.store import FrameWriter, open_frames
 from vialight.system import wait_for
 

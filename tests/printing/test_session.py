@@ -15,13 +15,15 @@ import numpy as np
 import pytest
 
 from printing.prints import SPEED_DEG_S, TURN_S, Bystander, quick_print, quick_printer
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
+from vialight.core.errors import InputError
+from vialight.core.messages import PrintStatus, StopForecast
 from vialight.devices.simulated import Mishaps
 from vialight.devices.simulated.display import BLACK, Flip, read_flips
 from vialight.devices.simulated.motion import Segments, angle_at
-from vialight.errors import InputError
-from vialight.links import PrintStatus, StopForecast, find_live_print, send_order
-from vialight.printing import PrintSettings
+from vialight.printing.live_link import find_live_print
+from vialight.printing.order_channel import send_order
+from vialight.printing.settings import PrintSettings
 from vialight.store import FrameWriter, open_frames
 
 pytestmark = pytest.mark.alone

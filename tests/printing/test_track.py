@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vialight.devices import StagePosition
-from vialight.printing import StageTrack
+from vialight.printing.track import StageTrack
 
 pytestmark = pytest.mark.alone
 

@@ -15,11 +15,11 @@ import trimesh
 from PIL import Image
 
 from vialight import __version__
-from vialight.arrays import Float32Array, Grid
-from vialight.config import Rig
-from vialight.errors import InputError
-from vialight.mesh import Mesh
-from vialight.plan import Patterns, Plan
+from vialight.core.arrays import Float32Array, Grid
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Patterns, Plan
 from vialight.report import plan_page, write_plan_page
 from vialight.report.plan_figures import Dosed, angle_words, cuts_through, filmstrip_indices, swept_outline
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store import staged_file, staged_folder
 
 Stage = Callable[[Path], AbstractContextManager[Path]]
@@ -230,7 +230,7 @@ def test_a_full_disk_leaves_nothing_and_says_what_is_free(small_disk: Path) -> N
 def test_a_limit_on_file_sizes_is_told_like_a_full_disk(tmp_path: Path) -> None:
     code = """
         import resource, signal, sys
-        from vialight.errors import InputError
+        from vialight.core.errors import InputError
         from vialight.store import staged_file, staged_folder
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))

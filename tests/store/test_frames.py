@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store import FrameWriter, open_frames, write_frames
 
 COUNTS = np.arange(6 * 4 * 5, dtype=np.uint16).reshape(6, 4, 5)
@@ -459,7 +459,7 @@ def test_a_full_disk_ends_a_recording_with_its_frames_safe(small_disk: Path) -> 
     code = """
         import sys
         import numpy as np
-        from vialight.errors import InputError
+        from vialight.core.errors import InputError
         from vialight.store import FrameWriter, open_frames
         noise = np.random.default_rng(0).integers(0, 65536, (100, 200, 300), dtype=np.uint16)
         try:

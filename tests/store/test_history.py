@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vialight.errors import InputError
-from vialight.links import Snapshot, StopForecast, Sums, SurfaceSnapshot
-from vialight.mesh import Mesh
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.messages import Snapshot, StopForecast, Sums, SurfaceSnapshot
 from vialight.store import (
     list_history,
     list_surfaces,

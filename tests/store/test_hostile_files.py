@@ -16,10 +16,9 @@ import pytest
 from PIL import Image
 
 from hostile import refused
-from vialight.arrays import Grid, Volume
-from vialight.config import load_rig
-from vialight.errors import InputError
-from vialight.mesh import Mesh
+from vialight.core.arrays import Grid, Volume
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
 from vialight.store import (
     SavedState,
     VolumeSeriesWriter,
@@ -40,6 +39,7 @@ from vialight.store import (
     write_volume,
 )
 from vialight.store.hdf5 import dataset_names
+from vialight.store.rig_files import load_rig
 from vialight.system import file_in, need_memory
 
 HUGE = 2**40

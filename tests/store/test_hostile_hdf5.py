@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from hostile import read_frames, refused
-from vialight.arrays import Grid
-from vialight.config import Rig
-from vialight.errors import InputError
-from vialight.mesh import Mesh
-from vialight.plan import Patterns, Plan
+from vialight.core.arrays import Grid
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Patterns, Plan
 from vialight.store import open_frames, read_plan, write_frames, write_plan
 
 COUNTS = np.arange(6 * 4 * 5, dtype=np.uint16).reshape(6, 4, 5)

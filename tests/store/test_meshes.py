@@ -9,9 +9,10 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vialight.errors import InputError
-from vialight.mesh import Mesh, load_mesh
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
 from vialight.store import write_ply, write_stl
+from vialight.store.foreign.meshes import load_mesh
 
 SOURCE = trimesh.creation.icosphere(subdivisions=2, radius=7.3)
 SPHERE = Mesh(np.asarray(SOURCE.vertices) + np.array([0.1, 0.2, 0.3]), np.asarray(SOURCE.faces))

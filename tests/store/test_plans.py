@@ -12,11 +12,11 @@ import h5py
 import numpy as np
 import pytest
 
-from vialight.arrays import Grid
-from vialight.config import Rig
-from vialight.errors import InputError
-from vialight.mesh import Mesh
-from vialight.plan import Patterns, Plan
+from vialight.core.arrays import Grid
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Patterns, Plan
 from vialight.store import read_plan, write_plan
 from vialight.store.frames import open_frames
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store import FrameTail, FrameWriter, durable, open_frames, recording
 from vialight.system import wait_for
 
@@ -214,7 +214,7 @@ def run_python(code: str, *arguments: Path | str) -> subprocess.CompletedProcess
 RECORD_UNTIL_REFUSED = """
     import os, resource, sys
     import numpy as np
-    from vialight.errors import InputError
+    from vialight.core.errors import InputError
     from vialight.store import FrameWriter
     {before}
     writer = None

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store import read_json, sha256_of, to_json, write_json
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vialight.config import Rig
+from vialight.core.config import Rig
 from vialight.store import rig_to_toml
 
 lengths = st.floats(1e-6, 1e6)

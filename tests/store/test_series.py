@@ -14,8 +14,8 @@ import zarr
 from ome_zarr.io import parse_url
 from ome_zarr.reader import Reader
 
-from vialight.arrays import Float32Array, Grid
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array, Grid
+from vialight.core.errors import InputError
 from vialight.store import VolumeSeriesWriter, read_series
 
 GRID = Grid((20, 6, 4), 0.155, centre_z_mm=0.25)
@@ -95,7 +95,7 @@ def test_a_series_is_gone_on_with_after_its_writer_was_killed(tmp_path: Path) ->
     code = f"""
 import sys, numpy as np
 from pathlib import Path
-from vialight.arrays import Grid
+from vialight.core.arrays import Grid
 from vialight.store import VolumeSeriesWriter
 series = VolumeSeriesWriter(Path(sys.argv[1]), Grid({GRID.shape}, 0.155, 0.25))
 k = 0

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from ome_zarr.io import parse_url
 from ome_zarr.reader import Reader
 
-from vialight.arrays import Float32Array, Grid, Volume
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array, Grid, Volume
+from vialight.core.errors import InputError
 from vialight.store import VolumeWriter, read_volume, staged_folder, write_volume
 
 GRID = Grid((37, 6, 5), 0.155, centre_z_mm=0.1234567890123456)
@@ -92,7 +92,7 @@ def test_memory_of_a_streamed_volume_is_that_of_a_few_slices(tmp_path: Path) -> 
     code = """
 import resource, sys
 import numpy as np
-from vialight.arrays import Grid
+from vialight.core.arrays import Grid
 from vialight.store import VolumeWriter
 block = np.zeros((10, 300, 300), np.float32)
 with VolumeWriter(sys.argv[1], Grid((640, 300, 300), 0.1)) as writer:  # 230 MB

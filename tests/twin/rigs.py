@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from vialight.config import Projector, Resin, Rig, Vial
-from vialight.plan import Patterns
+from vialight.core.config import Projector, Resin, Rig, Vial
+from vialight.core.plan import Patterns
 
 PIXEL_MM = 0.065
 

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from soft_parts import softened
-from vialight.arrays import Float32Array, FloatArray, Grid
-from vialight.config import Camera, Resin, Rig, Vial, load_rig
-from vialight.errors import InputError
-from vialight.mesh import Mesh, load_mesh
+from vialight.core.arrays import Float32Array, FloatArray, Grid
+from vialight.core.config import Camera, Resin, Rig, Vial
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
 from vialight.store import open_frames
+from vialight.store.foreign.meshes import load_mesh
+from vialight.store.rig_files import load_rig
 from vialight.twin.camera import frames_of, image_shape, imager_for
 from vialight.twin.poses import Pose
 from vialight.twin.rays import points_on_disk

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vialight.arrays import Grid
-from vialight.errors import InputError
+from vialight.core.arrays import Grid
+from vialight.core.errors import InputError
 from vialight.twin.chemistry import Chemistry, Cure, cure, diffused, fresh
 from vialight.twin.scattering import Scattering
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import quad
 
 from twin.rigs import PIXEL_MM, patterns_of, printer, printer_without_glass
-from vialight.arrays import Grid
-from vialight.config import Rig
-from vialight.errors import InputError
+from vialight.core.arrays import Grid
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
 from vialight.twin.exposure import add_dose, dose_of, exposer_for, writing_optics
 from vialight.twin.lightfield import light_field
 from vialight.twin.poses import Pose

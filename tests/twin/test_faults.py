@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vialight.config import Camera
-from vialight.errors import InputError
+from vialight.core.config import Camera
+from vialight.core.errors import InputError
 from vialight.twin import Faults, find_rig, load_faults
 
 WHOLE = """

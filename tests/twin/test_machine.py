@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from twin.rigs import patterns_of
-from vialight.arrays import Grid
-from vialight.errors import InputError
-from vialight.mesh import Mesh
-from vialight.plan import Patterns
+from vialight.core.arrays import Grid
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Patterns
 from vialight.twin import (
     Faults,
     Twin,

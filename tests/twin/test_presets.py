@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.twin.camera import image_shape
 from vialight.twin.presets import find_rig, load_resin, resin_names, rig_names
 

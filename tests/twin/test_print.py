@@ -14,17 +14,19 @@ import pytest
 from click.testing import CliRunner
 
 from twin.test_machine import BRIGHT, QUIET, RESIN, beam
-from vialight.arrays import Float32Array, Grid
 from vialight.cli import main
 from vialight.commands import PlanSettings, reconstruct_recording
-from vialight.commands.simulating import simulate_print
-from vialight.config import Rig, load_rig
-from vialight.errors import InputError
-from vialight.mesh import Mesh, load_mesh
+from vialight.commands.simulate import simulate_print
+from vialight.core.arrays import Float32Array, Grid
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Patterns, Plan
 from vialight.metrology import compare
-from vialight.pipeline import Settings
-from vialight.plan import Patterns, Plan
 from vialight.store import read_volume, rig_to_toml, write_plan
+from vialight.store.foreign.meshes import load_mesh
+from vialight.store.rig_files import load_rig
+from vialight.tomography.reconstruct import Settings
 from vialight.twin import ResinModel, Twin, TwinSettings, dose_of, find_rig, grid_round, load_resin, play
 from vialight.twin.chemistry import cure, fresh
 

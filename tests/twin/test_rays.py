@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vialight.config import Optics
-from vialight.refraction import camera_to_virtual
+from vialight.core.config import Optics
+from vialight.optics.refraction import camera_to_virtual
 from vialight.twin.rays import points_on_disk, trace
 
 MACHINES = {

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.twin import Faults, TwinSettings, load_settings
 
 WHOLE = """

@@ -20,25 +20,17 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from vialight.arrays import Float32Array, Grid, Volume
-from vialight.config import Rig
-from vialight.errors import InputError
-from vialight.links import (
-    CameraImage,
-    ControlServer,
-    LightPanel,
-    LiveLink,
-    Mailbox,
-    PrintStatus,
-    Snapshot,
-    StopForecast,
-    Sums,
-    SurfaceSnapshot,
-)
-from vialight.live import Moment, SharedVolume
-from vialight.live.analysis import region_of
-from vialight.mesh import Mesh
-from vialight.plan import Patterns, Plan
+from vialight.core.arrays import Float32Array, Grid, Volume
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.messages import CameraImage, PrintStatus, Snapshot, StopForecast, Sums, SurfaceSnapshot
+from vialight.core.plan import Patterns, Plan
+from vialight.devices.panel import LightPanel
+from vialight.printing.live.analysis import region_of
+from vialight.printing.live.sharing import LiveMoment, SharedVolume
+from vialight.printing.live_link import LiveLink
+from vialight.printing.order_channel import ControlServer
 from vialight.report import deviation_colours
 from vialight.store import (
     FrameWriter,
@@ -51,6 +43,7 @@ from vialight.store import (
     write_volume,
 )
 from vialight.system import shared_folder
+from vialight.system.mailboxes import Mailbox
 from vialight.web.reference import ViewGrid, reference_sums
 
 RIG = Rig.model_validate(
@@ -146,7 +139,7 @@ class PretendPrint:
         self._panel = LightPanel(self._folder, is_new=True)
         shared = SharedVolume.make(self._folder / "volume", VOLUME_GRID, region_of(VOLUME_GRID, None))
         shared.density[...] = volume().density
-        shared.tell(Moment(180, 18.0, 0.0, 0.0))
+        shared.tell(LiveMoment(180, 18.0, 0.0, 0.0))
         self._frames = FrameWriter(self.run / "frames.h5", (300, 480))
         (self.run / "projector.csv").write_text("refresh_s,shown_s,due,shown\n")
         self._control = ControlServer(self._folder, self._obey)

@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from vialight.config import Rig
+from vialight.core.config import Rig
 from vialight.report.colours import _STOPS
 from vialight.web.app import static_files
 from vialight.web.catalogue import Catalogue, camera_overlay, overview

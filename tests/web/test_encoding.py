@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from vialight.mesh import Mesh
+from vialight.core.mesh import Mesh
 from vialight.web.encoding import Levels, images_of, pack, pack_surface, to_levels, unpack
 from vialight.web.reference import ViewGrid, reference_sums
 

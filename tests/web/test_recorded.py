@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store import write_frames
 from vialight.web.recorded import pattern_shown, recorded_image
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from websockets.sync.client import ClientConnection
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store import list_history, list_surfaces, read_history
 from vialight.web import PageProcess, PageSettings
 from vialight.web.encoding import unpack

@@ -14,8 +14,8 @@ from typing import Any
 import psutil
 import pytest
 
-from vialight.errors import InputError, VialightError
-from vialight.links import LiveLink
+from vialight.core.errors import InputError, VialightError
+from vialight.printing.live_link import LiveLink
 from vialight.web import PageProcess, PageSettings, orders, runs
 from vialight.web.connections import Reserve
 from vialight.web.orders import OrderDesk, check_order

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from vialight.cli.calibrating import calibrate
-from vialight.cli.geometry import COMMANDS
+from vialight.cli.calibrating_geometry import COMMANDS
 from vialight.cli.instruments import devices_command, doctor_command, record_command
-from vialight.cli.printing import kinetics_command, print_command, say, status_line, watch_command
+from vialight.cli.prints import kinetics_command, print_command, say, status_line, watch_command
 from vialight.cli.running import faults_told, progress, show, stopped_by_interrupt
 from vialight.cli.tables import measurement_lines, plan_lines, print_lines, reconstruction_lines, simulation_lines
 
@@ -71,7 +71,7 @@ def reconstruct(
         raise click.UsageError("give --rig and --out, or a run's folder")
     with faults_told():
         from vialight.commands import reconstruct_recording
-        from vialight.pipeline import Settings
+        from vialight.tomography.reconstruct import Settings
 
         settings = Settings(voxel, binning, turn, accurate, filter_name)
         with progress("slices") as advance:
@@ -229,7 +229,7 @@ def simulate(
       vialight simulate plan.h5 --rig orth2022-190 --resin DUDMA --out run
     """
     with faults_told():
-        from vialight.commands.simulating import simulate_print
+        from vialight.commands.simulate import simulate_print
         from vialight.twin import TwinSettings, load_settings
 
         settings = TwinSettings(binning=binning, seed=seed)

@@ -60,8 +60,9 @@ def resin(
       vialight calibrate resin --cylinder frames.h5 heights.npy --profile-pixel-mm 0.05 --rig rig.toml --out new.toml
     """
     with faults_told():
-        from vialight.commands.calibrating import Standard, StandardOptions, calibrate_resin
-        from vialight.pipeline import Settings
+        from vialight.calibration.threshold.standards import Standard, StandardOptions
+        from vialight.commands.calibrate import calibrate_resin
+        from vialight.tomography.reconstruct import Settings
 
         if table is None and not runs and not cylinders:
             raise click.UsageError("give a TABLE, a --run or a --cylinder")
@@ -108,9 +109,10 @@ def threshold(
       vialight calibrate threshold frames.h5 --reference scan.stl --rig rig.toml --out new.toml
     """
     with faults_told():
-        from vialight.commands.calibrating import Standard, StandardOptions, calibrate_threshold
-        from vialight.config import ThresholdConditions
-        from vialight.pipeline import Settings
+        from vialight.calibration.threshold.standards import Standard, StandardOptions
+        from vialight.commands.calibrate import calibrate_threshold
+        from vialight.core.config import ThresholdConditions
+        from vialight.tomography.reconstruct import Settings
 
         known = profiles or references
         if len(frames) == 1:
@@ -146,7 +148,8 @@ def projector(frames: Path | None, resin: str, faults: Path | None, rig: Path, o
       vialight calibrate projector new.sweep.h5 --rig rig.toml --out newer.toml
     """
     with faults_told():
-        from vialight.commands.calibrating import SweepOptions, calibrate_projector
+        from vialight.calibration.projector.command import SweepOptions
+        from vialight.commands.calibrate import calibrate_projector
 
         with progress("lines") as advance, stopped_by_interrupt("light off; ending the sweep") as keep_going:
             result = calibrate_projector(
@@ -172,7 +175,7 @@ def latency(first: Path, second: Path, flash: bool, rig: Path, out: Path, as_jso
       vialight calibrate latency fast.h5 slow.h5 --flash --rig rig.toml --out new.toml
     """
     with faults_told():
-        from vialight.commands.calibrating import calibrate_latency
+        from vialight.commands.calibrate import calibrate_latency
 
         result = calibrate_latency(
             first, second, rig, out, flash=flash, on_step=lambda message: click.echo(message, err=True)

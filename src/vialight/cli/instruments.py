@@ -24,7 +24,7 @@ def devices_command(as_json: bool) -> None:
       vialight devices
     """
     with faults_told():
-        from vialight.commands.instruments import find_instruments
+        from vialight.commands.devices import find_instruments
 
         result = find_instruments()
         show(result, as_json, lambda: device_lines(result))
@@ -77,7 +77,7 @@ def record_command(
       vialight reconstruct frames.h5 --rig rig.toml --out print
     """
     with faults_told():
-        from vialight.commands.recording import RecordSettings, record_turns
+        from vialight.commands.record import RecordSettings, record_turns
 
         settings = RecordSettings(turns, dark, rate, part)
         with progress("frames") as advance, stopped_by_interrupt("ending the recording") as keep_going:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vialight.errors import InputError, VialightError, VialightWarning
+from vialight.core.errors import InputError, VialightError, VialightWarning
 from vialight.system import LineWriter, StopAsked
 
 if TYPE_CHECKING:

@@ -3,11 +3,12 @@
 Every function returns what it wrote as JSON, and writes all of its products or none.
 """
 
-from vialight.commands.exporting import export_plan
-from vialight.commands.measuring import measure_surface, reconstruct_recording
+from vialight.commands.export import export_plan
+from vialight.commands.measure import measure_surface
+from vialight.commands.plan import plan_part, score_plan
 from vialight.commands.plan_settings import GivenProjections, PlanSettings
-from vialight.commands.planning import plan_part, score_plan
-from vialight.commands.serving import serve_runs
+from vialight.commands.reconstruct import reconstruct_recording
+from vialight.commands.serve import serve_runs
 
 __all__ = [
     "GivenProjections",

@@ -8,14 +8,15 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from vialight.commands.measuring import measure_surface, reconstruct_recording
+from vialight.commands.measure import measure_surface
+from vialight.commands.plan import plan_part
 from vialight.commands.plan_settings import PlanSettings
-from vialight.commands.planning import plan_part
+from vialight.commands.print import print_part
 from vialight.commands.print_job import RUN, LiveOptions, Simulation
-from vialight.commands.printing import print_part
-from vialight.links import PrintStatus
-from vialight.pipeline import Progress
+from vialight.commands.reconstruct import reconstruct_recording
+from vialight.core.messages import PrintStatus
 from vialight.store import read_json
+from vialight.tomography.reconstruct import Progress
 
 _PLAN = PlanSettings(voxel_mm=0.3, angles=180, passes=8)
 _LIVE = LiveOptions(voxel_mm=0.155, every_deg=90.0, rehearsal_voxel_mm=0.3)
@@ -38,7 +39,7 @@ def print_demo(
     out
         Folder for ``plan.h5``, ``plan.html`` and the print's ``run``; an earlier demo's are replaced.
     serve, keep_going, on_status, on_step
-        See `vialight.commands.printing.print_part`.
+        See `vialight.commands.print.print_part`.
 
     Returns
     -------
@@ -54,7 +55,7 @@ def print_demo(
     out.mkdir(exist_ok=True)
     if (out / "run" / RUN).exists() and read_json(out / "run" / RUN).get("name") == "part.stl":
         shutil.rmtree(out / "run")
-    with as_file(files("vialight") / "sample") as sample:
+    with as_file(files("vialight") / "commands" / "sample") as sample:
         on_step("planning the light patterns of the sample part")
         plan_part(sample / "part.stl", sample / "printer.toml", out / "plan.h5", settings=_PLAN)
         return print_part(
@@ -65,6 +66,6 @@ def print_demo(
 
 def measure_demo(out: str | Path, *, progress: Progress | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
     """Reconstruct and measure the sample recording; return what both steps found."""
-    with as_file(files("vialight") / "sample") as sample:
+    with as_file(files("vialight") / "commands" / "sample") as sample:
         first = reconstruct_recording(sample / "frames.h5", sample / "rig.toml", out, progress=progress)
         return first, measure_surface(out, sample / "part.stl", out, tolerance_mm=0.1)

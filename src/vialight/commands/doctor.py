@@ -14,21 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from vialight.commands.findings import (
+from vialight.commands.doctor_findings import (
     WATCHED_S,
-    Finding,
+    DoctorFinding,
     frame_findings,
     image_findings,
     monitor_findings,
     session_findings,
     size_words,
 )
-from vialight.config import ProjectorSettings, Rig
+from vialight.core.config import ProjectorSettings, Rig
+from vialight.core.errors import InputError, VialightError, VialightWarning
 from vialight.devices import CameraFrame, DeviceError, DeviceTimeoutError, MonotonicClock, Stage
 from vialight.devices.cameras import GenicamCamera, open_camera
 from vialight.devices.projectors import list_monitors
 from vialight.devices.stages import reach_stage
-from vialight.errors import InputError, VialightError, VialightWarning
 from vialight.store import FrameWriter
 from vialight.twin import find_rig
 
@@ -74,36 +74,38 @@ def check_instruments(
         The rig cannot be read.
     """
     rig = find_rig(rig_path)
-    findings: list[Finding] = []
-    checks: dict[str, Callable[[], list[Finding]]] = {
+    findings: list[DoctorFinding] = []
+    checks: dict[str, Callable[[], list[DoctorFinding]]] = {
         "camera": lambda: _camera(rig, frame_rate_hz),
         "stage": lambda: _stage(rig, move),
         "projector": lambda: _projector(rig),
     }
     for device, check in checks.items():
         if getattr(getattr(rig, device), "driver", None) is None:
-            findings.append(Finding(device, "note", "the rig names no driver: the twin stands in"))
+            findings.append(DoctorFinding(device, "note", "the rig names no driver: the twin stands in"))
             continue
         on_step(f"checking the {device}")
         try:
             findings += check()
         except VialightError as error:
-            findings.append(Finding(device, "wrong", str(error)))
+            findings.append(DoctorFinding(device, "wrong", str(error)))
     return {
         "rig": str(rig_path), "is_well": all(one.state != "wrong" for one in findings),
         "findings": [asdict(one) for one in findings],
     }  # fmt: skip
 
 
-def _camera(rig: Rig, frame_rate_hz: float) -> list[Finding]:
+def _camera(rig: Rig, frame_rate_hz: float) -> list[DoctorFinding]:
     table = rig.need_camera()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", VialightWarning)  # of rounded settings, which are told below
         camera = open_camera(table, MonotonicClock())
     with contextlib.closing(camera):
-        findings = [Finding("camera", "ok", f"{camera.name} sends {size_words(camera.image_shape)} pixels")]
+        findings = [DoctorFinding("camera", "ok", f"{camera.name} sends {size_words(camera.image_shape)} pixels")]
         findings += [
-            Finding("camera", "wrong", str(one), "write what it has into [camera.settings], and mind the axis_column")
+            DoctorFinding(
+                "camera", "wrong", str(one), "write what it has into [camera.settings], and mind the axis_column"
+            )
             for one in camera.rounded
         ]
         findings += image_findings(table, camera.image_shape)
@@ -112,7 +114,7 @@ def _camera(rig: Rig, frame_rate_hz: float) -> list[Finding]:
     findings += frame_findings(frames, frame_rate_hz, camera.full_level, rig.stage.speed_deg_s)
     if camera.incomplete:
         findings.append(
-            Finding(
+            DoctorFinding(
                 "camera",
                 "wrong",
                 f"{camera.incomplete} frames lost a part on the way",
@@ -132,7 +134,7 @@ def _watched(camera: GenicamCamera) -> list[CameraFrame]:
     return frames
 
 
-def _disk(frames: list[CameraFrame], frame_rate_hz: float) -> list[Finding]:
+def _disk(frames: list[CameraFrame], frame_rate_hz: float) -> list[DoctorFinding]:
     """Write the frames as a recording would, in the current folder."""
     try:
         with tempfile.TemporaryDirectory(dir=".", prefix="vialight-doctor-") as folder:
@@ -142,22 +144,24 @@ def _disk(frames: list[CameraFrame], frame_rate_hz: float) -> list[Finding]:
                     to.append(frame.counts, 0.0, frame.time_s)
             rate_hz = len(frames) / (time.monotonic() - begun)
     except (OSError, InputError) as error:
-        return [Finding("disk", "wrong", f"cannot be written ({error})", "change to the folder of your recordings")]
+        return [
+            DoctorFinding("disk", "wrong", f"cannot be written ({error})", "change to the folder of your recordings")
+        ]
     told = f"takes {rate_hz:.0f} frames/s here; the camera sends {frame_rate_hz:g}"
     is_quick = rate_hz >= _SPARE * frame_rate_hz
-    return [Finding("disk", "ok" if is_quick else "wrong", told, "" if is_quick else "record on a quicker disk")]
+    return [DoctorFinding("disk", "ok" if is_quick else "wrong", told, "" if is_quick else "record on a quicker disk")]
 
 
-def _stage(rig: Rig, move: bool) -> list[Finding]:
+def _stage(rig: Rig, move: bool) -> list[DoctorFinding]:
     with contextlib.closing(reach_stage(rig.stage, MonotonicClock())) as stage:
         slowest_s = _slowest_answer_s(stage)
-        findings = [Finding("stage", "ok", f"answers within {1e3 * slowest_s:.1f} ms")]
+        findings = [DoctorFinding("stage", "ok", f"answers within {1e3 * slowest_s:.1f} ms")]
         if slowest_s > _SLOW_ANSWER_S:
             told = f"takes {1e3 * slowest_s:.0f} ms to answer; a print waits for {1e3 * _SLOW_ANSWER_S:.0f}"
-            findings = [Finding("stage", "wrong", told, "use USB or a cable of its own; raise the baud rate")]
+            findings = [DoctorFinding("stage", "wrong", told, "use USB or a cable of its own; raise the baud rate")]
         if not move:
             told = "was not turned" + ("" if stage.is_referenced() else "; it does not know where it is")
-            return [*findings, Finding("stage", "note", told, "take your hands away, and run doctor with --move")]
+            return [*findings, DoctorFinding("stage", "note", told, "take your hands away, and run doctor with --move")]
         wanted = rig.stage.speed_deg_s
         stage.prepared().start(math.radians(wanted))
         try:
@@ -166,8 +170,8 @@ def _stage(rig: Rig, move: bool) -> list[Finding]:
             stage.stop()
     if abs(abs(speed) / wanted - 1) > _SPEED_TOLERANCE:
         told = f"turns at {speed:.2f} deg/s instead of {wanted:g}"
-        return [*findings, Finding("stage", "wrong", told, "check its largest velocity, its load and its servo")]
-    return [*findings, Finding("stage", "ok", f"turns at {speed:.3f} deg/s, even to {ripple_deg:.3f} deg")]
+        return [*findings, DoctorFinding("stage", "wrong", told, "check its largest velocity, its load and its servo")]
+    return [*findings, DoctorFinding("stage", "ok", f"turns at {speed:.3f} deg/s, even to {ripple_deg:.3f} deg")]
 
 
 def _slowest_answer_s(stage: Stage) -> float:
@@ -202,7 +206,7 @@ def _positions(stage: Stage, seconds: float) -> tuple[Any, Any]:
     return times - times[0], np.degrees([one.angle_rad for one in told])
 
 
-def _projector(rig: Rig) -> list[Finding]:
+def _projector(rig: Rig) -> list[DoctorFinding]:
     table = rig.need_projector()
     wanted = (table.settings or ProjectorSettings()).monitor
     monitors = list_monitors()

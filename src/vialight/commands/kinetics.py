@@ -9,20 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import BoolArray, FloatArray, Grid
-from vialight.commands.provenance import inputs_json, versions
-from vialight.commands.shown_light import Light, light_of
-from vialight.config import Rig, load_rig
-from vialight.feedback import StopModel, lateness, predict
-from vialight.kinetics import Failure, dose_over_time, mj_per_cm2, outside_failures, stalled_failures
-from vialight.live import Place, SeenAgain, see_again, times_of
-from vialight.mesh import Mesh, load_mesh
+from vialight.control.lateness import lateness
+from vialight.control.looking_back import Place, SeenAgain, see_again, times_of
+from vialight.control.prediction import predict
+from vialight.control.stop_model import REHEARSAL, StopModel
+from vialight.core.arrays import BoolArray, FloatArray, Grid
+from vialight.core.config import Rig
+from vialight.core.mesh import Mesh
 from vialight.metrology import signed_distance
+from vialight.metrology.kinetics import Failure, dose_over_time, mj_per_cm2, outside_failures, stalled_failures
+from vialight.metrology.kinetics.shown_light import ShownLight, light_of
 from vialight.report import GelPlanes, gel_times_png, kinetics_png
 from vialight.store import open_frames, read_json, read_plan, staged_folder, write_json
+from vialight.store.foreign.meshes import load_mesh
+from vialight.store.provenance import inputs_json, versions
+from vialight.store.rig_files import load_rig
 from vialight.system import file_in
 
-REHEARSAL = "rehearsal.json"
 _LEAST_MM3, _LEAST_VOXELS = 0.1, 27
 """What is smaller is noise."""
 _MOST_POINTS = 200
@@ -123,7 +126,7 @@ def kinetics_of(
 
 
 def _failures(
-    seen: SeenAgain, part: Mesh, threshold: float, tolerance_mm: float, model: StopModel | None, light: Light
+    seen: SeenAgain, part: Mesh, threshold: float, tolerance_mm: float, model: StopModel | None, light: ShownLight
 ) -> list[Failure]:
     """Compare what was seen with what was meant, and rehearsed."""
     least = max(_LEAST_MM3, _LEAST_VOXELS * seen.grid.voxel_mm**3)
@@ -145,7 +148,7 @@ def _given_or_there(given: str | Path | None, there: Path) -> Path | None:
     return there if there.exists() else None
 
 
-def _dose(light: Light, rig: Rig, seen: SeenAgain) -> tuple[FloatArray | None, str | None]:
+def _dose(light: ShownLight, rig: Rig, seen: SeenAgain) -> tuple[FloatArray | None, str | None]:
     """Return (look,) the dose up to each look, and its unit."""
     if light.shown is None or light.patterns is None:
         return None, None
@@ -177,7 +180,7 @@ def _first_above(density: FloatArray, threshold: float, lit_s: FloatArray) -> fl
     return float(lit_s[first])
 
 
-def _failure_json(one: Failure, light: Light, turn_s: float) -> dict[str, Any]:
+def _failure_json(one: Failure, light: ShownLight, turn_s: float) -> dict[str, Any]:
     lit_s = float(light.lit_at(np.array([one.time_s]))[0])
     return {
         "what": one.what, "time_s": one.time_s, "lit_s": lit_s, "turn": lit_s / turn_s, "at_mm": list(one.at_mm),

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vialight.errors import InputError
-from vialight.projections import CEILING, VOID_LIMIT, MethodName
+from vialight.core.errors import InputError
+from vialight.planning.projections import CEILING, VOID_LIMIT, MethodName
 
 _MOST_HELD = 9
 
@@ -20,7 +20,7 @@ class PlanSettings:
     Parameters
     ----------
     method
-        See `vialight.projections.methods`.
+        See `vialight.planning.projections.methods`.
     passes
         Of the method; by default its own number.
     angles
@@ -44,7 +44,7 @@ class PlanSettings:
     background, clip_level, bound_void
         Of the method `normalised`.
     rotate_deg, scale, fit, centre
-        See `vialight.target.place`.
+        See `vialight.planning.target.place`.
     """
 
     method: MethodName = "object-space"

@@ -11,17 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from vialight.commands.provenance import inputs_json, versions
-from vialight.config import Rig, ThresholdConditions
+from vialight.control.stop_model import StopModel
+from vialight.core.config import Rig, ThresholdConditions
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Plan
 from vialight.devices.opening import RealPrinter, names_devices
 from vialight.devices.simulated import Mishaps, SimulatedPrinter, WorldSettings
-from vialight.errors import InputError
-from vialight.feedback import StopModel
-from vialight.live import LiveSettings
-from vialight.mesh import Mesh, load_mesh
-from vialight.plan import Plan
-from vialight.printing import PrintSettings, doubts_of_rig
+from vialight.printing.doubts import doubts_of_rig
+from vialight.printing.live.following import LiveSettings
+from vialight.printing.settings import PrintSettings
 from vialight.store import read_plan, rig_to_toml, write_json, write_stl
+from vialight.store.foreign.meshes import load_mesh
+from vialight.store.provenance import inputs_json, versions
 from vialight.twin import ResinModel, TwinSettings, find_rig, load_resin, resin_names
 
 RUN = "run.json"

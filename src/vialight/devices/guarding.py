@@ -17,11 +17,12 @@ from typing import Any, Protocol
 
 import psutil
 
+from vialight.core.errors import VialightError
 from vialight.devices.leasing import LOOK_S, Sight, Vigil
+from vialight.devices.panel import LightPanel
 from vialight.devices.protocols import Lease, Shown
-from vialight.errors import VialightError
-from vialight.links import LightPanel, Mailbox
 from vialight.system import leave_interrupts_to_the_print
+from vialight.system.mailboxes import Mailbox
 
 CLOSING = b"closing"
 _CLOSING_S = 3.0

@@ -12,12 +12,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from vialight.arrays import FloatArray
-from vialight.config import Rig
+from vialight.core.arrays import FloatArray
+from vialight.core.config import Rig
+from vialight.core.errors import InputError, VialightError
 from vialight.devices import cameras, projectors, stages
 from vialight.devices.clocks import MonotonicClock
 from vialight.devices.protocols import Camera, Clock, Devices, Projector, Stage
-from vialight.errors import InputError, VialightError
 from vialight.system import shared_folder
 
 DRIVERS = {

@@ -18,13 +18,14 @@ from typing import Any, Protocol, TextIO
 
 import numpy as np
 
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
+from vialight.core.errors import VialightError
 from vialight.devices.guarding import CLOSING, CoverMaker, Ward, guard
 from vialight.devices.leasing import judge
+from vialight.devices.panel import LightPanel
 from vialight.devices.protocols import Clock, DeviceError, DeviceGoneError, Lease, LightPhase, Shown
-from vialight.errors import VialightError
-from vialight.links import LightPanel, Mailbox
 from vialight.system import LineWriter, deaf_to_interrupts, leave_interrupts_to_the_print
+from vialight.system.mailboxes import Mailbox
 
 _START_TIMEOUT_S = 60.0
 _END_TIMEOUT_S = 3.0

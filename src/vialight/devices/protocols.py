@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.errors import VialightError
+from vialight.core.errors import VialightError
 
 
 class DeviceError(VialightError):

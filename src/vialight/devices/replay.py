@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from vialight.core.errors import InputError
 from vialight.devices.protocols import CameraFrame, Clock, DeviceError, DeviceTimeoutError, StagePosition
-from vialight.errors import InputError
 from vialight.store import open_frames
 
 _POLL_S = 0.02

@@ -1,11 +1,13 @@
-"""Stage: how far a print is off from what was meant.
+"""How far a print is off from what was meant.
 
-`compare` is the one verb; the modules below it can be used alone:
+Start with `comparison`: its `compare` makes all measurements.  The other modules can be used alone:
 
+- `surface`, `contours`: the surface at which the density crosses the threshold
 - `distance`: signed distances and their area-weighted statistics
-- `registration`, `symmetry`, `rigid`: laying the print on its reference, and what a symmetric part leaves open
+- `registration`, `symmetry`, `rigid`: the print is laid on its reference, as far as the part's symmetry lets it
 - `overlap`: intersection over union
 - `cylinders`, `round_faces`: fitted diameters
+- `kinetics`: the print over time: its dose, when it gelled, where it began to fail
 """
 
 from vialight.metrology.comparison import Agreement, Comparison, Tolerance, compare

@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vialight.arrays import FloatArray
-from vialight.errors import InputError, VialightWarning
-from vialight.mesh import Mesh
+from vialight.core.arrays import FloatArray
+from vialight.core.errors import InputError, VialightWarning
+from vialight.core.mesh import Mesh
 from vialight.metrology.cylinders import Cylinder, measure_cylinders
 from vialight.metrology.distance import Deviation, Samples, deviation, sample_surface, warn_unsigned
 from vialight.metrology.overlap import intersection_over_union

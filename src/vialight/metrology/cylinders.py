@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vialight.arrays import FloatArray
-from vialight.mesh import Mesh
+from vialight.core.arrays import FloatArray
+from vialight.core.mesh import Mesh
 from vialight.metrology.distance import Nearest, Samples, SurfaceTree, sample_surface
 from vialight.metrology.round_faces import CylindricalFace, cylindrical_faces
 

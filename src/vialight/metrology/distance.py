@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vialight.arrays import FloatArray, IntArray
-from vialight.errors import VialightWarning
-from vialight.mesh import Mesh, merge_coincident
+from vialight.core.arrays import FloatArray, IntArray
+from vialight.core.errors import VialightWarning
+from vialight.core.mesh import Mesh, merge_coincident
 
 SAMPLES = 100_000
 """Points that a surface is measured at, besides its vertices."""

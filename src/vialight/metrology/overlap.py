@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from vialight.columns import column_grid, crossings
-from vialight.mesh import Mesh
+from vialight.core.columns import column_grid, crossings
+from vialight.core.mesh import Mesh
 
 COLUMNS_ACROSS = 400
 """Columns along the longer side of the region; along each column, lengths are exact."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vialight.arrays import FloatArray
-from vialight.mesh import Mesh
+from vialight.core.arrays import FloatArray
+from vialight.core.mesh import Mesh
 from vialight.metrology.distance import Samples, SurfaceTree, sample_surface
 from vialight.metrology.rigid import displacement_metric, step_of, turn_about
 from vialight.metrology.symmetry import open_twists, with_least_motion, words
@@ -81,12 +81,12 @@ def register(measured: Mesh, reference: Mesh) -> Registration:
     pose = _descend(middle, target, start, iterations=40)
     twists = open_twists(*target.smooth(pose.apply(middle)))
     matrix = with_least_motion(pose.matrix, twists, target.centre_mm, target.size_mm)
-    pose = _descend(points, target, Pose(matrix), iterations=12, held=twists)
+    pose = _descend(points, target, PrintPose(matrix), iterations=12, held=twists)
     matrix = with_least_motion(pose.matrix, twists, target.centre_mm, target.size_mm)
     return Registration(matrix, words(twists, target.centre_mm, target.size_mm))
 
 
-class Pose(NamedTuple):
+class PrintPose(NamedTuple):
     """A rigid motion."""
 
     matrix: FloatArray
@@ -146,16 +146,16 @@ class _Target:
         return near.point_mm - self.centre_mm, normals
 
 
-def _best_start(points: FloatArray, target: _Target) -> Pose:
+def _best_start(points: FloatArray, target: _Target) -> PrintPose:
     from scipy.spatial.transform import Rotation
 
     centroid = points.mean(axis=0)
     axes = np.vstack([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     turns = Rotation.from_rotvec(_STARTS_DEG * axes, degrees=True).as_matrix()
     starts = [np.eye(4), *(turn_about(turn, centroid, target.centre_mm) for turn in turns)]
-    best = Pose(starts[0])
+    best = PrintPose(starts[0])
     for start in starts:
-        found = _descend(points, target, Pose(start), iterations=50)
+        found = _descend(points, target, PrintPose(start), iterations=50)
         # A later start, with more motion, has to be better by more than chance.
         if found.rms_mm < 0.98 * best.rms_mm:
             best = found
@@ -164,21 +164,23 @@ def _best_start(points: FloatArray, target: _Target) -> Pose:
     return best
 
 
-def _descend(points: FloatArray, target: _Target, pose: Pose, iterations: int, held: FloatArray | None = None) -> Pose:
+def _descend(
+    points: FloatArray, target: _Target, pose: PrintPose, iterations: int, held: FloatArray | None = None
+) -> PrintPose:
     """Take damped Gauss-Newton steps until they fall below 10 nm; return the best pose met."""
-    best = Pose(pose.matrix)
+    best = PrintPose(pose.matrix)
     for _ in range(iterations):
         pairs = target.gaps(pose.apply(points))
         rms = float(np.sqrt(np.mean(pairs.gap_mm**2)))
         if rms < best.rms_mm:
-            best = Pose(pose.matrix, rms)
+            best = PrintPose(pose.matrix, rms)
         twist = _step(pairs, held)
-        pose = Pose(step_of(twist, target.centre_mm) @ pose.matrix)
+        pose = PrintPose(step_of(twist, target.centre_mm) @ pose.matrix)
         if np.abs(twist[:3]).max() * target.size_mm + np.abs(twist[3:]).max() < 1e-5:
             break
     last = target.gaps(pose.apply(points)).gap_mm
     rms = float(np.sqrt(np.mean(last**2)))
-    return Pose(pose.matrix, rms) if rms <= best.rms_mm else best
+    return PrintPose(pose.matrix, rms) if rms <= best.rms_mm else best
 
 
 def _step(pairs: Pairs, held: FloatArray | None) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
 
 
 def turn_about(rotation: FloatArray, centre_mm: FloatArray, goes_to_mm: FloatArray) -> FloatArray:

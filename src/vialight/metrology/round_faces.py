@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vialight.arrays import BoolArray, FloatArray, IntArray
-from vialight.mesh import Mesh
+from vialight.core.arrays import BoolArray, FloatArray, IntArray
+from vialight.core.mesh import Mesh
 
 _SMOOTH_DEG = (0.3, 35.0)
 """Faces that meet at such angles may stand for one curved face; below they are coplanar, above there is an edge."""

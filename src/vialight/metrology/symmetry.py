@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
 from vialight.metrology.rigid import displacement_metric, flow_of
 
 _OPEN_BELOW = 1e-3

@@ -7,32 +7,6 @@
 - `doubts`: what makes the calibration doubtful, which is told
 - `settings`, `watching`: how to print, and what is asked of who measures it
 - `session`: the order of it all
-- `sweeping`: patterns one after the other, for calibration
+- `order_channel`, `live_link`: orders to a running print, and how other processes find it
+- `live`: the print measured while it forms
 """
-
-from vialight.printing.doubts import doubts_of_background, doubts_of_rig
-from vialight.printing.light import LightOwner, LightRules
-from vialight.printing.log import EventLog
-from vialight.printing.recorder import Recorder
-from vialight.printing.session import print_plan
-from vialight.printing.settings import PrintSettings, stop_settings
-from vialight.printing.sweeping import SweepFrames, record_sweep
-from vialight.printing.track import StageFollower, StageTrack
-from vialight.printing.watching import Watcher
-
-__all__ = [
-    "EventLog",
-    "LightOwner",
-    "LightRules",
-    "PrintSettings",
-    "Recorder",
-    "StageFollower",
-    "StageTrack",
-    "SweepFrames",
-    "Watcher",
-    "doubts_of_background",
-    "doubts_of_rig",
-    "print_plan",
-    "record_sweep",
-    "stop_settings",
-]

@@ -8,11 +8,11 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import TURN_RAD, FloatArray
-from vialight.calibrate.appearance import streaks_of
-from vialight.calibrate.checks import Check, drift_check, reference_checks, run_out_check, width_check
-from vialight.calibrate.edges import fit_circle, track_edges
-from vialight.config import Rig
+from vialight.calibration.check.appearance import streaks_of
+from vialight.calibration.check.checks import Check, drift_check, reference_checks, run_out_check, width_check
+from vialight.calibration.edges import fit_circle, track_edges
+from vialight.core.arrays import TURN_RAD, FloatArray
+from vialight.core.config import Rig
 
 _OLD_DAYS = 90.0
 _BAND_MM = 2.0

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from vialight.devices import LEASE_S, DeviceError, DeviceGoneError, Devices, Lease, LightPhase
 from vialight.devices.leasing import leave
-from vialight.links import LightPanel
+from vialight.devices.panel import LightPanel
 from vialight.printing.log import EventLog
 from vialight.printing.track import StageFollower, StageTrack
 

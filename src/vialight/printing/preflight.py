@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.config import Rig
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
 from vialight.devices import Devices
-from vialight.errors import InputError
 from vialight.printing.recorder import room_for
 
 _SATURATED = 0.98

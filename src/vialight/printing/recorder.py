@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vialight.core.errors import InputError
+from vialight.core.messages import CameraImage
 from vialight.devices import Camera, CameraFrame, Clock, DeviceError, DeviceLostError, DeviceTimeoutError
-from vialight.errors import InputError
-from vialight.links import CameraImage
 from vialight.printing.log import EventLog
 from vialight.store import FrameWriter
 from vialight.system import wait_for

@@ -12,21 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import TURN_RAD
-from vialight.config import Rig
+from vialight.core.arrays import TURN_RAD
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.messages import CameraImage, PrintStatus, StopForecast
 from vialight.devices import DeviceError, Devices
-from vialight.errors import InputError
-from vialight.links import CameraImage, ControlServer, LightPanel, LiveLink, Mailbox, PrintStatus, StopForecast
+from vialight.devices.panel import LightPanel
 from vialight.printing import preflight
 from vialight.printing.doubts import doubts_of_background
 from vialight.printing.light import LightOwner, LightRules
+from vialight.printing.live_link import LiveLink
 from vialight.printing.log import EventLog
+from vialight.printing.order_channel import ControlServer
 from vialight.printing.recorder import Recorder, room_for
 from vialight.printing.settings import PrintSettings, StopMode
 from vialight.printing.track import LONGEST_GAP_S, StageTrack
 from vialight.printing.watching import Watcher
 from vialight.store import FrameWriter, open_frames
 from vialight.system import wait_for
+from vialight.system.mailboxes import Mailbox
 
 _TICK_S = 0.02
 _STATUS_S = 0.2

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 
 StopMode = Literal["auto", "manual", "turns"]
 

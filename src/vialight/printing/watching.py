@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from vialight.links import StopForecast
+from vialight.core.messages import StopForecast
 
 
 class Watcher(Protocol):

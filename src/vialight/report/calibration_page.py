@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from vialight.calibrate import Findings
+from vialight.calibration.findings import Findings
 from vialight.report.html import MINUS, NONE, Image, write_page
 from vialight.report.page import Figure, Provenance
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
+from vialight.core.drawing import round_up
 from vialight.metrology import Comparison
 
 _STOPS = np.array([(24, 52, 148), (92, 134, 226), (255, 255, 255), (235, 112, 92), (160, 16, 32)], dtype=np.float64)
@@ -49,19 +50,6 @@ def colour_limit_mm(comparison: Comparison) -> float:
     """
     part = comparison.reported.forward
     return round_up(float(np.quantile(np.abs(part.distance_mm[part.weights_mm2 > 0]), 0.99)))
-
-
-def round_up(value: float) -> float:
-    """Return the next of 1, 2 or 5 times a power of ten; 0.001 at the least.
-
-    Examples
-    --------
-    >>> [round_up(value) for value in (0.0, 0.03, 0.2, 7.1)]
-    [0.001, 0.05, 0.2, 10.0]
-    """
-    value = max(value, 1e-3)
-    power = 10.0 ** np.floor(np.log10(value) + 1e-9)
-    return float(next(round(step * power, 9) for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9)))
 
 
 def colour_ramp(count: int = 256) -> FloatArray:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vialight.arrays import FloatArray
-from vialight.columns import column_grid, thickness
-from vialight.mesh import Mesh
+from vialight.core.arrays import FloatArray
+from vialight.core.columns import column_grid, thickness
+from vialight.core.drawing import new_figure, png, round_up, scale_bar, style
+from vialight.core.mesh import Mesh
 from vialight.metrology import Comparison
-from vialight.report.canvas import new_figure, png, scale_bar, style
-from vialight.report.colours import colour_ramp, deviation_colours, round_up
+from vialight.report.colours import colour_ramp, deviation_colours
 from vialight.report.views import VIEWS, Drawing, View, draw
 
 if TYPE_CHECKING:

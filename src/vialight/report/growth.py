@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import FloatArray
-from vialight.mesh import Mesh
-from vialight.report.canvas import new_figure, png, scale_bar, style
-from vialight.report.colours import deviation_colours, round_up
+from vialight.core.arrays import FloatArray
+from vialight.core.drawing import new_figure, png, round_up, scale_bar, style
+from vialight.core.mesh import Mesh
+from vialight.report.colours import deviation_colours
 from vialight.report.views import VIEWS, Drawing, draw
 from vialight.store import (
     HistoryMoment,

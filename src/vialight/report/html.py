@@ -55,7 +55,7 @@ def write_page(
     path
         The file to make.
     template
-        One of ``vialight/templates``; all that it is given is escaped.
+        One of ``vialight/report/templates``; all that it is given is escaped.
     content
         Makes what the template is given; asked for only once the file can be written.
     filters
@@ -69,7 +69,7 @@ def write_page(
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("vialight"),
+        loader=PackageLoader("vialight.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

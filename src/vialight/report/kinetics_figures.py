@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vialight.arrays import Float32Array, FloatArray, Grid
-from vialight.mesh import Mesh
+from vialight.core.arrays import Float32Array, FloatArray, Grid
+from vialight.core.drawing import new_figure, png, style
+from vialight.core.mesh import Mesh
 from vialight.metrology import signed_distance
-from vialight.report.canvas import new_figure, png, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from vialight.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from vialight.plan import Patterns, Plan
-from vialight.refraction import virtual_to_camera
-from vialight.report.canvas import new_figure, png, scale_bar, style
-from vialight.report.colours import round_up
-from vialight.viewing import vial_edge_columns
+from vialight.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from vialight.core.drawing import new_figure, png, round_up, scale_bar, style
+from vialight.core.plan import Patterns, Plan
+from vialight.optics.refraction import virtual_to_camera
+from vialight.optics.viewing import vial_edge_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

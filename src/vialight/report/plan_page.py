@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vialight import __version__
-from vialight.arrays import Float32Array
-from vialight.plan import Plan
+from vialight.core.arrays import Float32Array
+from vialight.core.plan import Plan
+from vialight.planning.scoring import judged_voxels
 from vialight.report.html import MINUS, NONE, TIMES, Image, write_page
 from vialight.report.plan_figures import Dosed, dose_histogram_png, filmstrip_png, frame_png, slices_png
-from vialight.scoring import judged_voxels
 from vialight.store import rig_to_toml
 
 _UNITS = {"mm": "mm", "deg": "°", "mj_per_cm2": "mJ/cm²", "s": "s"}

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import FloatArray
-from vialight.errors import InputError
-from vialight.mesh import Mesh
-from vialight.report.colours import deviation_colours, round_up
+from vialight.core.arrays import FloatArray
+from vialight.core.drawing import round_up
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.report.colours import deviation_colours
 from vialight.report.views import VIEWS, View, draw
 from vialight.store import StoredSurface, list_surfaces, read_surface, staged_file
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import FloatArray
-from vialight.columns import ColumnGrid, crossings
-from vialight.mesh import Mesh
+from vialight.core.arrays import FloatArray
+from vialight.core.columns import ColumnGrid, crossings
+from vialight.core.mesh import Mesh
 
 _OVERSAMPLING = 2
 _LIGHT = np.array([-0.3, 0.35, 0.89])

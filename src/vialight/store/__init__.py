@@ -3,10 +3,11 @@
 Importing this is cheap: h5py, hdf5plugin and zarr are imported when a file is opened.
 """
 
-from vialight.store.exports import export_mp4, export_png
 from vialight.store.folders import staged_file, staged_folder
+from vialight.store.foreign.exports import export_mp4, export_png
+from vialight.store.foreign.heights import read_heights
+from vialight.store.foreign.projections import read_projections
 from vialight.store.frames import FrameFile, open_frames
-from vialight.store.heights import read_heights
 from vialight.store.history import (
     HistoryMoment,
     HistoryNumbers,
@@ -21,7 +22,6 @@ from vialight.store.history import (
 )
 from vialight.store.meshes import write_ply, write_stl
 from vialight.store.plans import read_plan, write_plan
-from vialight.store.projections import read_projections
 from vialight.store.recording import FrameWriter, write_frames
 from vialight.store.results import read_json, sha256_of, to_json, write_json
 from vialight.store.rigs import rig_to_toml, with_values

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.system import identity_of
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import BoolArray, FloatArray, IntArray
-from vialight.errors import InputError
+from vialight.core.arrays import BoolArray, FloatArray, IntArray
+from vialight.core.errors import InputError
 from vialight.store.durable import is_from_before_a_start, open_torn
 from vialight.store.hdf5 import attribute, dataset_in, dataset_names, object_in
 from vialight.store.results import parse_json

@@ -12,7 +12,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.system import check_plain, file_in
 
 _MOST_LINKS = 32

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import FloatArray
-from vialight.errors import InputError
+from vialight.core.arrays import FloatArray
+from vialight.core.errors import InputError
 from vialight.store.folders import staged_file
 from vialight.store.npy import opened_npz
 from vialight.system import file_in, read_plain
@@ -140,9 +140,9 @@ def write_history(run: str | Path, moment: _Moment, measured: _Measured | None =
     run
         The run's folder; ``history`` in it is made where it is missing.
     moment
-        A `vialight.links.Snapshot`, or anything with its images and numbers.
+        A `vialight.core.messages.Snapshot`, or anything with its images and numbers.
     measured
-        The newest `vialight.links.SurfaceSnapshot`, or the like; None before there is one.
+        The newest `vialight.core.messages.SurfaceSnapshot`, or the like; None before there is one.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def write_history(run: str | Path, moment: _Moment, measured: _Measured | None =
     Examples
     --------
     >>> import tempfile
-    >>> from vialight.links import Snapshot, Sums
+    >>> from vialight.core.messages import Snapshot, Sums
     >>> image = Sums(*(np.ones((3, 4), np.float32),) * 3)
     >>> snapshot = Snapshot(180, 18.0, 0.0, 0.05, 10.0, 0.1, 0.0, image, image, 2.5, 0.0)
     >>> run = Path(tempfile.mkdtemp())
@@ -289,7 +289,7 @@ def read_surface(run: str | Path, number: int) -> StoredSurface:
     Examples
     --------
     >>> import tempfile
-    >>> from vialight.mesh import Mesh
+    >>> from vialight.core.mesh import Mesh
     >>> from vialight.store import write_ply
     >>> run = Path(tempfile.mkdtemp())
     >>> (run / "surfaces").mkdir()

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store.folders import staged_file
 
 if TYPE_CHECKING:
-    from vialight.mesh import Mesh
+    from vialight.core.mesh import Mesh
 
 _STL_HEADER = b"vialight: binary STL, lengths in mm"
 """Not to begin with `solid`, by which many readers tell ASCII."""
@@ -44,7 +44,8 @@ def write_stl(path: str | Path, mesh: Mesh) -> None:
     Examples
     --------
     >>> import tempfile
-    >>> from vialight.mesh import Mesh, load_mesh
+    >>> from vialight.core.mesh import Mesh
+    >>> from vialight.store.foreign.meshes import load_mesh
     >>> corner = Mesh([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     >>> path = Path(tempfile.mkdtemp()) / "corner.stl"
     >>> write_stl(path, corner)
@@ -85,7 +86,7 @@ def write_ply(
     Examples
     --------
     >>> import tempfile
-    >>> from vialight.mesh import Mesh
+    >>> from vialight.core.mesh import Mesh
     >>> triangle = Mesh([[0, 0, 0], [2, 0, 0], [0, 3, 0]], [[0, 1, 2]])
     >>> path = Path(tempfile.mkdtemp()) / "triangle.ply"
     >>> write_ply(path, triangle, {"deviation_mm": [0.1, 0.0, -0.1]}, np.full((3, 3), 255, np.uint8))

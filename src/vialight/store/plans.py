@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import Grid
-from vialight.config import Rig, parse_toml
-from vialight.errors import InputError
-from vialight.mesh import Mesh
-from vialight.plan import Patterns, Plan
+from vialight.core.arrays import Grid
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Patterns, Plan
 from vialight.store.folders import staged_file
 from vialight.store.hdf5 import attribute, dataset_in, object_in
 from vialight.store.results import parse_json, to_json
+from vialight.store.rig_files import parse_toml
 from vialight.store.rigs import rig_to_toml
 from vialight.system import check_plain, need_memory
 

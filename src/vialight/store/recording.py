@@ -22,14 +22,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from vialight.errors import InputError
-from vialight.store.durable import (
-    end_of_hdf5,
-    forget_tables,
-    read_tables,
-    sync_descriptor,
-    write_tables,
-)
+from vialight.core.errors import InputError
+from vialight.store.durable import end_of_hdf5, forget_tables, read_tables, sync_descriptor, write_tables
 from vialight.store.folders import disk_full, is_disk_full, staged_file, unwritable
 from vialight.system import wait_for
 

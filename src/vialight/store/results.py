@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store.durable import sync_descriptor, sync_folder
 from vialight.store.folders import staged_file
 from vialight.system import file_in, open_plain, read_plain

@@ -9,11 +9,11 @@ import tomlkit
 from tomlkit.container import Container
 from tomlkit.items import AbstractTable
 
-from vialight.config import Rig
+from vialight.core.config import Rig
 
 
 def rig_to_toml(rig: Rig) -> str:
-    """Return a rig as `vialight.config.load_rig` reads it; what is not set is left out.
+    """Return a rig as `vialight.store.rig_files.load_rig` reads it; what is not set is left out.
 
     Examples
     --------

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import Float32Array, FloatArray, Grid, Volume
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array, FloatArray, Grid, Volume
+from vialight.core.errors import InputError
 from vialight.store.folders import disk_full, is_disk_full, unwritable
 from vialight.store.results import read_json
 from vialight.store.volumes import create_array, damage_told, described, grid_of_image, not_written

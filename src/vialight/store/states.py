@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store.folders import staged_file
 from vialight.store.npy import opened_npz
 

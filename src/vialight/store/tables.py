@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vialight.arrays import FloatArray
-from vialight.errors import InputError
+from vialight.core.arrays import FloatArray
+from vialight.core.errors import InputError
 from vialight.system import read_plain
 
 _MOST_BYTES = 4_000_000

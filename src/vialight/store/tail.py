@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
 from vialight.store.frames import open_frames, open_hdf5
 
 

@@ -16,8 +16,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from vialight.arrays import Float32Array, Grid, Volume
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array, Grid, Volume
+from vialight.core.errors import InputError
 from vialight.store.folders import staged_file, unwritable
 from vialight.store.zarrs import attributes_of, read_stored, stored_image
 

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vialight.arrays import Float32Array
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array
+from vialight.core.errors import InputError
 from vialight.store.results import read_json
 from vialight.system import file_in, need_memory, open_plain
 

@@ -6,7 +6,7 @@ import struct
 import zipfile
 from typing import BinaryIO
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 
 _PLAIN_METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _END = struct.Struct("<4s4H2LH")
@@ -53,7 +53,7 @@ def open_archive(file: BinaryIO, where: object, *, most_bytes: int, most_entries
     >>> open_archive(packed, "zeros.zip", most_bytes=500_000)
     Traceback (most recent call last):
         ...
-    vialight.errors.InputError: ...
+    vialight.core.errors.InputError: ...
     """
     if _entries(file) > most_entries:
         raise InputError(where, "is an archive of too many entries", accepted=f"{most_entries} at most")

@@ -8,7 +8,7 @@ import os
 import stat
 from pathlib import Path
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 
 _KINDS = {
     stat.S_IFIFO: "a pipe",
@@ -49,7 +49,7 @@ def file_in(folder: str | Path, *names: str) -> Path:
     >>> file_in(run, "../secret.txt")
     Traceback (most recent call last):
         ...
-    vialight.errors.InputError: ...
+    vialight.core.errors.InputError: ...
     """
     path = Path(folder, *names)
     try:
@@ -128,7 +128,7 @@ def read_plain(path: str | Path, most_bytes: int) -> bytes:
     >>> read_plain(path, 1)
     Traceback (most recent call last):
         ...
-    vialight.errors.InputError: ...
+    vialight.core.errors.InputError: ...
     """
     with open_plain(path, most_bytes) as file:
         size = os.fstat(file.fileno()).st_size

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import psutil
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 
 _LEFT_BYTES = 200_000_000
 """That stay for everything else."""
@@ -33,7 +33,7 @@ def need_memory(needed_bytes: float, where: object, what: str, remedy: str) -> N
     >>> need_memory(1e18, "frames.h5", "a block of frames", "read fewer")
     Traceback (most recent call last):
         ...
-    vialight.errors.InputError: ...
+    vialight.core.errors.InputError: ...
     """
     if needed_bytes <= SMALL_BYTES:
         return

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.system.processes import ProcessIdentity, identity_of, is_same_process
 
 _PREFIX = "vialight-"

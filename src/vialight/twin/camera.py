@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vialight.arrays import Float32Array, FloatArray, Grid
-from vialight.config import Camera, Optics, Rig
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array, FloatArray, Grid
+from vialight.core.config import Camera, Optics, Rig
+from vialight.core.errors import InputError
 from vialight.twin.marching import MARGIN, march
 from vialight.twin.poses import Pose, VialPose
 from vialight.twin.rays import Rays, trace
@@ -210,7 +210,7 @@ def frames_of(
 
     Examples
     --------
-    >>> from vialight.config import Resin, Vial
+    >>> from vialight.core.config import Resin, Vial
     >>> rig = Rig(
     ...     vial=Vial(outer_radius_mm=12.4, wall_mm=1.1), resin=Resin(index_imaging=1.48),
     ...     camera=Camera(distance_mm=190.0, pixel_mm=0.155, axis_column=87.5, optical_row=59.5),

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import Float32Array, Grid
-from vialight.errors import InputError
-from vialight.vectors import FAST_MATH
+from vialight.core.arrays import Float32Array, Grid
+from vialight.core.compiling import FAST_MATH
+from vialight.core.errors import InputError
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 PHOTON_ENERGY_J_PER_MOL = 6.62607015e-34 * 299792458.0 * 6.02214076e23 / 460e-9

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from vialight.arrays import Float32Array, FloatArray, Grid
-from vialight.config import Optics, Rig
-from vialight.errors import InputError
-from vialight.plan import Patterns
+from vialight.core.arrays import Float32Array, FloatArray, Grid
+from vialight.core.config import Optics, Rig
+from vialight.core.errors import InputError
+from vialight.core.plan import Patterns
 from vialight.twin.gathering import gather
 from vialight.twin.lightfield import LightField, light_field
 from vialight.twin.poses import Pose

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from vialight.arrays import Float32Array, Grid
-from vialight.config import Rig, changed_rig, read_toml
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array, Grid
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.store.rig_files import changed_rig, read_toml
 from vialight.twin.poses import Pose, VialPose
 from vialight.twin.tables import from_table
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import FloatArray
-from vialight.config import Optics
+from vialight.core.arrays import FloatArray
+from vialight.core.compiling import FAST_MATH
+from vialight.core.config import Optics
 from vialight.twin.rays import optics_array, trace_one
-from vialight.vectors import FAST_MATH
 
 SHARE_OF_FIELD = 0.99
 """Of the field's radius: further out, rays graze the glass and places are reached by several rays or none."""

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import Float32Array, Grid
-from vialight.config import Rig
-from vialight.errors import InputError
-from vialight.mesh import Mesh
+from vialight.core.arrays import Float32Array, Grid
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
 from vialight.twin.camera import Imager, Scene, frames_of, imager_for, look_at, scene_of
 from vialight.twin.chemistry import Cure, cure, fresh
 from vialight.twin.exposure import add_dose, exposer_for

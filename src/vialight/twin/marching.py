@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from vialight.arrays import Float32Array, FloatArray
-from vialight.vectors import FAST_MATH
+from vialight.core.arrays import Float32Array, FloatArray
+from vialight.core.compiling import FAST_MATH
 
 MARGIN = 2
 """Empty voxels all round what rays march through: samples and slopes are taken there without asking where they are."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 Nothing here is a closed form of the vial: a ray is a point and a unit vector, a surface is a cylinder about z with a
 normal, and Snell's law and Fresnel's equations are applied there as vectors.  That is what lets the twin judge
-`vialight.refraction` and all that builds on it.
+`vialight.optics.refraction` and all that builds on it.
 
 `trace_one` works in the device's own frame, whose pupil is at (0, -D, 0) and looks along +y; `trace` turns its rays
 to the device's azimuth.  Lengths are in mm.
@@ -16,9 +16,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
-from vialight.arrays import FloatArray
-from vialight.config import Optics
-from vialight.vectors import FAST_MATH
+from vialight.core.arrays import FloatArray
+from vialight.core.compiling import FAST_MATH
+from vialight.core.config import Optics
 
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 

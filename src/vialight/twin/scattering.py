@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vialight.arrays import Float32Array
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array
+from vialight.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
 from vialight.twin.camera import Imager
 
 

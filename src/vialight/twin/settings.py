@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vialight.config import read_toml
-from vialight.errors import InputError
+from vialight.core.errors import InputError
+from vialight.store.rig_files import read_toml
 from vialight.twin.faults import Faults
 from vialight.twin.sensor import Sensor, StrayLight
 from vialight.twin.tables import from_table

@@ -9,7 +9,7 @@ import math
 from dataclasses import fields
 from typing import Any, TypeVar
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 
 _Table = TypeVar("_Table")
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from vialight.arrays import Float32Array, Grid
-from vialight.contours import above_ties, contour
-from vialight.errors import InputError
-from vialight.mesh import Mesh
+from vialight.core.arrays import Float32Array, Grid
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.metrology.contours import above_ties, contour
 
 
 def gelled_surface(conversion: Float32Array, grid: Grid, gel_conversion: float, *, shrinkage: float = 0.0) -> Mesh:

@@ -22,7 +22,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.web.access import Access
 from vialight.web.catalogue import DOWNLOADS, Catalogue, unreadable, with_state
 from vialight.web.gate import Gate, let_in

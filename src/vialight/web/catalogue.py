@@ -9,10 +9,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from vialight.config import Rig, load_rig
-from vialight.errors import InputError
+from vialight.core.config import Rig
+from vialight.core.errors import InputError
+from vialight.optics.viewing import vial_edge_columns
 from vialight.store import list_history, list_surfaces
-from vialight.viewing import vial_edge_columns
+from vialight.store.rig_files import load_rig
 from vialight.web.facts import Facts
 from vialight.web.runs import Run, changed_at, is_run, own_file, runs_in
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from vialight.errors import VialightError
+from vialight.core.errors import VialightError
 
 _T = TypeVar("_T")
 _LOG = logging.getLogger("vialight.web")

@@ -14,16 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from vialight.errors import InputError
-from vialight.mesh import Mesh, load_mesh
-from vialight.plan import Patterns
-from vialight.store import (
-    HistoryNumbers,
-    read_history,
-    read_history_numbers,
-    read_plan,
-    read_surface,
-)
+from vialight.core.errors import InputError
+from vialight.core.mesh import Mesh
+from vialight.core.plan import Patterns
+from vialight.store import HistoryNumbers, read_history, read_history_numbers, read_plan, read_surface
+from vialight.store.foreign.meshes import load_mesh
 from vialight.web.catalogue import history_of, surfaces_of
 from vialight.web.encoding import images_of, pack, pack_surface
 from vialight.web.live_pictures import WIDEST, LivePictures

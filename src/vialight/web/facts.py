@@ -6,7 +6,7 @@ import os
 from datetime import datetime
 from typing import Any
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store import read_json
 from vialight.web.runs import Run, own_file
 

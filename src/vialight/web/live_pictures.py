@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.links import CameraImage, Snapshot, SurfaceSnapshot
+from vialight.core.messages import CameraImage, Snapshot, SurfaceSnapshot
 from vialight.web.encoding import images_of, pack, pack_surface, to_levels
 from vialight.web.reference import ViewGrid
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from vialight.errors import InputError
-from vialight.links import send_order
+from vialight.core.errors import InputError
+from vialight.printing.order_channel import send_order
 from vialight.web.connections import Reserve
 from vialight.web.runs import Run, cannot_tell, find_print
 

@@ -17,7 +17,7 @@ from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.web.reading import BYTES, HEAD, JSON, LIMITS, NOTHING
 from vialight.web.runs import Run
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import psutil
 
-from vialight.errors import VialightError
+from vialight.core.errors import VialightError
 from vialight.store import to_json
 from vialight.system import leave_interrupts_to_the_print
 from vialight.web.catalogue import history_of, overview, run_changed, summary, surfaces_of

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vialight.errors import InputError
-from vialight.links import CameraImage
+from vialight.core.errors import InputError
+from vialight.core.messages import CameraImage
 from vialight.store import open_frames
 
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vialight.arrays import FloatArray
-from vialight.columns import ColumnGrid, thickness
-from vialight.mesh import Mesh
+from vialight.core.arrays import FloatArray
+from vialight.core.columns import ColumnGrid, thickness
+from vialight.core.mesh import Mesh
 
 
 class ViewGrid(NamedTuple):

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from vialight.errors import InputError, VialightError
-from vialight.links import LiveLink, find_live_print
+from vialight.core.errors import InputError, VialightError
+from vialight.printing.live_link import LiveLink, find_live_print
 
 _MARKS = ("run.json", "live.json", "frames.h5", "history", "reconstruction.json")
 _LIVE = "live.json"

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.system import deaf_to_interrupts, leave_interrupts_to_the_print
 
 if TYPE_CHECKING:

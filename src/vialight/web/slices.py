@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import Grid
-from vialight.errors import InputError
-from vialight.links import LiveLink
-from vialight.live import SharedVolume
+from vialight.core.arrays import Grid
+from vialight.core.errors import InputError
+from vialight.printing.live.sharing import SharedVolume
+from vialight.printing.live_link import LiveLink
 from vialight.store import read_volume
 from vialight.web.encoding import Levels, pack, to_levels
 from vialight.web.runs import own_folder

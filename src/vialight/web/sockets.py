@@ -10,7 +10,7 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.store import to_json
 from vialight.web.orders import OrderDesk, check_order
 from vialight.web.runs import CannotTellError

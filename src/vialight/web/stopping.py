@@ -23,7 +23,7 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.system import leave_interrupts_to_the_print
 from vialight.web.access import BODY_LIMIT_BYTES, Access, Asked, Refusal
 from vialight.web.connections import Acceptor, Limits, Places, Reserve

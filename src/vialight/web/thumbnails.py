@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.report import picture_of
 from vialight.store import read_history, read_surface
 from vialight.web.catalogue import history_of, surfaces_of

@@ -12,7 +12,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from vialight.errors import InputError
+from vialight.core.errors import InputError
 from vialight.system import scratch_folder
 from vialight.web.runs import Run, own_folder
 

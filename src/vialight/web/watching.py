@@ -16,16 +16,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
-from vialight.errors import InputError
-from vialight.links import (
-    CameraImage,
-    LiveLink,
-    Mailbox,
-    PrintStatus,
-    Snapshot,
-    SurfaceSnapshot,
-)
+from vialight.core.errors import InputError
+from vialight.core.messages import CameraImage, PrintStatus, Snapshot, SurfaceSnapshot
+from vialight.printing.live_link import LiveLink
 from vialight.store import to_json
+from vialight.system.mailboxes import Mailbox
 from vialight.web.live_pictures import LivePictures, grid_of
 from vialight.web.readers import Readers
 from vialight.web.reference import ViewGrid

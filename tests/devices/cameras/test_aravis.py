@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from devices.cameras.fake import ADDRESS, FakeCamera, fake_camera
-from vialight.config import Camera, CameraSettings
+from vialight.core.config import Camera, CameraSettings
+from vialight.core.errors import VialightWarning
 from vialight.devices import CameraFrame, DeviceError, DeviceTimeoutError, MonotonicClock
 from vialight.devices.cameras import GenicamCamera, list_cameras, open_camera
-from vialight.errors import VialightWarning
 
 pytestmark = pytest.mark.alone
 
@@ -143,7 +143,7 @@ def test_closing_leaves_no_thread_and_the_library_is_silent(fake: FakeCamera) ->
     code = f"""
 import threading
 from pathlib import Path
-from vialight.config import Camera, CameraSettings
+from vialight.core.config import Camera, CameraSettings
 from vialight.devices import MonotonicClock
 from vialight.devices.cameras import open_camera
 settings = CameraSettings(device="{ADDRESS}", pixel_format="Mono16", region=(0, 0, 480, 300))

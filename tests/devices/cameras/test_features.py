@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from devices.cameras.pretend import standard_features
-from vialight.config import CameraSettings
+from vialight.core.config import CameraSettings
 from vialight.devices import DeviceError
 from vialight.devices.cameras.features import (
     Range,

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 import pytest
 
 from devices.cameras.pretend import HandClock, PretendLink, standard_features
-from vialight.config import CameraSettings
+from vialight.core.config import CameraSettings
+from vialight.core.errors import VialightWarning
 from vialight.devices import CameraFrame, DeviceError, DeviceTimeoutError, MonotonicClock
 from vialight.devices.cameras import GenicamCamera
-from vialight.errors import VialightWarning
 
 EIGHT_BITS = CameraSettings(pixel_format="Mono8", region=(0, 0, 64, 20))
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from needs import need_module
-from vialight.config import Camera, CameraSettings
+from vialight.core.config import Camera, CameraSettings
+from vialight.core.errors import InputError, VialightWarning
 from vialight.devices import DeviceError, DeviceTimeoutError, MonotonicClock
 from vialight.devices.cameras import list_cameras, open_camera
-from vialight.errors import InputError, VialightWarning
 
 pytestmark = pytest.mark.alone
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from vialight.config import Camera as CameraTable
-from vialight.config import CameraSettings
+from vialight.core.config import Camera as CameraTable
+from vialight.core.config import CameraSettings
 from vialight.devices.cameras.aravis import AravisLink, list_aravis_cameras
 from vialight.devices.cameras.features import Rounded
 from vialight.devices.cameras.finding import FoundCamera

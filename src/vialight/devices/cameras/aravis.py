@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vialight.config import CameraSettings
+from vialight.core.config import CameraSettings
 from vialight.devices.cameras.features import Range, Value
 from vialight.devices.cameras.finding import FoundCamera, choose_camera
 from vialight.devices.cameras.links import RawFrame

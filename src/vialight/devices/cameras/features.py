@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
-from vialight.config import CameraSettings
+from vialight.core.config import CameraSettings
 from vialight.devices.protocols import DeviceError
 
 Value = int | float | str | bool

@@ -9,7 +9,8 @@ import time
 import warnings
 from collections import deque
 
-from vialight.config import CameraSettings
+from vialight.core.config import CameraSettings
+from vialight.core.errors import VialightError, VialightWarning
 from vialight.devices.cameras.features import (
     Rounded,
     apply_settings,
@@ -24,7 +25,6 @@ from vialight.devices.cameras.links import Link, OpenLink, RawFrame
 from vialight.devices.cameras.pixels import full_level, unpack
 from vialight.devices.cameras.timing import DeviceTime, FrameNumbers
 from vialight.devices.protocols import CameraFrame, Clock, DeviceError, DeviceLostError, DeviceTimeoutError
-from vialight.errors import VialightError, VialightWarning
 
 _KEPT_S = 3.0
 _LEAST_KEPT = 16

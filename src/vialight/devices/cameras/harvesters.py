@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from vialight.config import CameraSettings
+from vialight.core.config import CameraSettings
+from vialight.core.errors import InputError
 from vialight.devices.cameras.features import Range, Value
 from vialight.devices.cameras.finding import FoundCamera, choose_camera
 from vialight.devices.cameras.links import RawFrame
 from vialight.devices.cameras.pixels import frame_bytes
 from vialight.devices.protocols import DeviceError
-from vialight.errors import InputError
 
 REMEDY = "pip install 'vialight[harvesters]', and the camera vendor's software with its GenTL producer"
 _SEARCH_PATH = "GENICAM_GENTL64_PATH"

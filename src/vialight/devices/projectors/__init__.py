@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vialight.arrays import FloatArray
-from vialight.config import Projector as ProjectorTable
-from vialight.config import ProjectorSettings
+from vialight.core.arrays import FloatArray
+from vialight.core.config import Projector as ProjectorTable
+from vialight.core.config import ProjectorSettings
 from vialight.devices.projecting import ProjectorParts, ProjectorProcess
 from vialight.devices.projectors.levels import read_flat_field
 from vialight.devices.projectors.monitors import Monitor, check_size, list_monitors

@@ -13,10 +13,10 @@ import tempfile
 import time
 from pathlib import Path
 
+from vialight.core.errors import VialightError
 from vialight.devices.projectors.monitors import full_screen_window, start_glfw
 from vialight.devices.projectors.x11 import let_server_paint
 from vialight.devices.protocols import DeviceError
-from vialight.errors import VialightError
 
 _START_TIMEOUT_S = 20.0
 _LOOK_EVERY_S = 0.5

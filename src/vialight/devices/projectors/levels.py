@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.arrays import Float32Array, FloatArray
-from vialight.errors import InputError
+from vialight.core.arrays import Float32Array, FloatArray
+from vialight.core.errors import InputError
 
 FULL = 255
 

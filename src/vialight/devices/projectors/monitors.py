@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from vialight.core.errors import InputError
 from vialight.devices.projectors.randr import scaling_of
 from vialight.devices.protocols import DeviceError
-from vialight.errors import InputError
 
 _REMEDY = "start it in a graphical session, or set DISPLAY"
 

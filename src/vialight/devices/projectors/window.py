@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vialight.config import Projector as ProjectorTable
-from vialight.config import ProjectorSettings
+from vialight.core.config import Projector as ProjectorTable
+from vialight.core.config import ProjectorSettings
+from vialight.core.errors import InputError
 from vialight.devices.projectors.levels import FULL, light_of_levels, read_flat_field, sent_levels
 from vialight.devices.projectors.monitors import check_window, full_screen_window, start_glfw
 from vialight.devices.protocols import DeviceError
-from vialight.errors import InputError
 from vialight.store import read_plan
 
 _TRIED_REFRESHES = 20

@@ -6,8 +6,8 @@ import time
 
 from vialight.devices.protocols import Clock, DeviceTimeoutError, StagePosition
 from vialight.devices.simulated.mishaps import Mishaps
-from vialight.links import Mailbox
 from vialight.system import state_of
+from vialight.system.mailboxes import Mailbox
 
 SPIN_UP_S = 0.5
 """In which the stage reaches its speed, evenly."""

@@ -12,16 +12,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from vialight.arrays import FloatArray
+from vialight.core.arrays import FloatArray
+from vialight.core.codec import decoder_of, encode
 from vialight.devices.clocks import SimulatedClock
 from vialight.devices.projecting import ProjectorParts, ProjectorProcess
 from vialight.devices.protocols import CameraFrame, DeviceError, Devices, DeviceTimeoutError
 from vialight.devices.simulated.display import DisplayCover, DisplayWindow, run_display
 from vialight.devices.simulated.motion import Segments, SimulatedStage
 from vialight.devices.simulated.world import WorldAnswer, WorldOrder, WorldSettings, run_world
-from vialight.links import Mailbox
-from vialight.links.codec import decoder_of, encode
 from vialight.system import deaf_to_interrupts, shared_folder
+from vialight.system.mailboxes import Mailbox
 
 _START_TIMEOUT_S = 120.0
 _TRUTH_TIMEOUT_S, _DRAIN_S = 60.0, 0.02

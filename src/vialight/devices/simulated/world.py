@@ -12,19 +12,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vialight.core.codec import decoder_of, encode
+from vialight.core.errors import InputError
+from vialight.core.plan import Patterns
 from vialight.devices.clocks import SimulatedClock
 from vialight.devices.protocols import CameraFrame
 from vialight.devices.simulated.display import BLACK, read_flips
 from vialight.devices.simulated.mishaps import Mishaps
 from vialight.devices.simulated.motion import Segments, angle_at
-from vialight.errors import InputError
-from vialight.links import Mailbox
-from vialight.links.codec import decoder_of, encode
-from vialight.mesh import load_mesh
-from vialight.plan import Patterns
+from vialight.planning.target import voxelise
 from vialight.store import read_plan, write_stl
+from vialight.store.foreign.meshes import load_mesh
 from vialight.system import leave_interrupts_to_the_print
-from vialight.target import voxelise
+from vialight.system.mailboxes import Mailbox
 from vialight.twin import Twin, TwinSettings, find_rig, grid_round, load_resin
 
 NEWS_S = 0.015

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vialight.config import Stage as StageTable
+from vialight.core.config import Stage as StageTable
 from vialight.devices.protocols import Clock, Stage
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
+from vialight.core.errors import InputError
 from vialight.devices.protocols import Clock, DeviceError, DeviceTimeoutError
-from vialight.errors import InputError
 
 CODEPAGE = "cp1252"
 _WAIT_S = 0.01

@@ -13,10 +13,10 @@ import time
 from collections.abc import Iterator
 from typing import Any, Self
 
-from vialight.config import StageSettings
+from vialight.core.config import StageSettings
+from vialight.core.errors import InputError
 from vialight.devices.protocols import Clock, DeviceError, DeviceTimeoutError, StagePosition
 from vialight.devices.stages.link import ADDRESSES, Link
-from vialight.errors import InputError
 
 _ANSWER_S = 1.0
 """For an answer while nothing hurries."""

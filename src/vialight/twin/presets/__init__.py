@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from vialight.config import Resin, Rig, load_rig, read_toml
-from vialight.errors import InputError
+from vialight.core.config import Resin, Rig
+from vialight.core.errors import InputError
+from vialight.store.rig_files import load_rig, read_toml
 from vialight.twin.chemistry import Chemistry
 from vialight.twin.scattering import Scattering
 from vialight.twin.tables import from_table

@@ -1,0 +1,1 @@
+"""What the resin needs: critical exposure, penetration depth, and index."""

@@ -1,0 +1,1 @@
+"""Outer radius, index and distance: what bends the rays, from opposite views."""

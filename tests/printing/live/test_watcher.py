@@ -1,0 +1,56 @@
+"""The live measurement's processes, as the print asks after them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from printing.prints import recorded_rig
+from vialight.printing.live.following import LiveSettings
+from vialight.printing.live.talking import READY
+from vialight.printing.live.watcher import LiveWatcher, Name
+
+
+class SlowPipe:
+    """A connection with one message, which takes its time to say so; a second reader would wait for ever."""
+
+    def __init__(self) -> None:
+        self.messages = [READY]
+
+    def poll(self) -> bool:
+        there = bool(self.messages)
+        time.sleep(0.05)
+        return there
+
+    def recv_bytes(self) -> bytes:
+        return self.messages.pop()
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def watcher(tmp_path: Path) -> LiveWatcher:
+    return LiveWatcher(LiveSettings(tmp_path, tmp_path, recorded_rig(), 880.0, 30))
+
+
+def test_watcher_that_has_not_been_started_has_no_fault(watcher: LiveWatcher) -> None:
+    assert watcher.fault() is None
+    assert not watcher.is_ready()
+    assert not watcher.has_ended()
+
+
+def test_threads_that_ask_at_once_hear_the_same(watcher: LiveWatcher) -> None:
+    pipes: dict[Name, Any] = {"follower": SlowPipe(), "analyst": SlowPipe()}
+    watcher._orders = pipes
+    heard: list[bool] = []
+    threads = [threading.Thread(target=lambda: heard.append(watcher.is_ready())) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(5.0)
+    assert heard == [True] * 4
