@@ -74,3 +74,17 @@ def test_process_that_is_still_starting_lives_through_an_interrupt() -> None:
     process.join(60)
     assert process.exitcode == 0
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, set())
+
+
+def test_ctrl_z_stops_no_process_that_has_left_it_to_the_print() -> None:
+    """Projector and guardian would stand still together, with the light on."""
+    code = "from vialight.system import leave_interrupts_to_the_print as leave; leave(); print('left', flush=True)"
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{code}; input()"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "left\n"
+    process.send_signal(signal.SIGTSTP)
+    process.send_signal(signal.SIGINT)
+    process.communicate("on\n", timeout=10)
+    assert process.returncode == 0

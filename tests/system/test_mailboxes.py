@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import struct
@@ -51,7 +52,7 @@ WRITER = """
 import sys
 import numpy as np
 from vialight.system.mailboxes import Mailbox
-from links.test_mailboxes import Values
+from system.test_mailboxes import Values
 with Mailbox(sys.argv[1], Values, 1_100_000) as writer:
     print("ready", flush=True)
     for value in range(2000):
@@ -163,7 +164,12 @@ def test_folders_of_dead_processes_are_cleared_and_nothing_else(folder: Path) ->
     not_ours.mkdir(mode=0o700)
     reused = folder.parent / f"vialight-{os.getpid()}-11111111"
     reused.mkdir(mode=0o700)
-    (reused / "owner.json").write_text(f'[{os.getpid()}, "another time", "another boot", "me"]')
+    owner = json.loads((folder / "owner.json").read_text())
+    owner["process"][1] = "another time"
+    (reused / "owner.json").write_text(json.dumps(owner))
+    elsewhere = folder.parent / f"vialight-{ended.pid}-33333333"
+    elsewhere.mkdir(mode=0o700)
+    (elsewhere / "owner.json").write_text(json.dumps(owner | {"numbers": "pid:[another container]"}))
     open_to_all = folder.parent / f"vialight-{ended.pid}-22222222"
     open_to_all.mkdir(mode=0o700)
     open_to_all.chmod(0o777)
@@ -172,6 +178,7 @@ def test_folders_of_dead_processes_are_cleared_and_nothing_else(folder: Path) ->
         assert not left.exists()
         assert not reused.exists()  # its process number is in use again, by another process
         assert not_ours.exists()
+        assert elsewhere.exists()
         assert open_to_all.exists()
         assert folder.exists()
         assert folder.stat().st_mode & 0o077 == 0
@@ -180,5 +187,13 @@ def test_folders_of_dead_processes_are_cleared_and_nothing_else(folder: Path) ->
         assert on_disk.stat().st_mode & 0o077 == 0
         shutil.rmtree(on_disk)
     finally:
-        for made in (left, not_ours, reused, open_to_all):
+        for made in (left, not_ours, reused, open_to_all, elsewhere):
             shutil.rmtree(made, ignore_errors=True)
+
+
+def test_mailbox_that_another_writer_has_made_anew_is_told_from_one_in_which_nothing_comes(folder: Path) -> None:
+    with Mailbox(folder / "box", int, 100) as first, Mailbox(folder / "box", int) as reader:
+        first.put(1)
+        assert not reader.is_replaced
+        with Mailbox(folder / "box", int, 100):
+            assert reader.is_replaced

@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 
 from vialight.devices import SimulatedClock
+from vialight.devices.clocks import _place
 
 WRITER = """
 import sys
 from pathlib import Path
 from vialight.devices import SimulatedClock
+from vialight.devices.clocks import _place
 
 clock = SimulatedClock(Path(sys.argv[1]), rate=4.0)
 print("made", flush=True)
@@ -42,3 +44,11 @@ def test_clock_that_another_process_moves_all_the_time_always_has_its_rate(tmp_p
     finally:
         process.kill()
         process.communicate()
+
+
+def test_clock_whose_writer_was_killed_in_the_middle_of_a_change_holds_up_nobody(tmp_path: Path) -> None:
+    clock = SimulatedClock(tmp_path / "clock", rate=4.0)
+    clock.allow_until(2.0)
+    clock._numbers[_place(int(clock._words[0]) + 1)] = float("nan")  # written, and never said to be the newest
+    assert SimulatedClock(tmp_path / "clock").rate == pytest.approx(4.0)
+    assert 0.0 <= SimulatedClock(tmp_path / "clock").now_s() <= 2.0

@@ -216,11 +216,14 @@ class _Replay:
         if snapshot.frames > self._seen:
             self._skipped += snapshot.frames - self._seen - 1
             self._seen = snapshot.frames
-            self._latencies.append(time.monotonic() - self._arrived_s[snapshot.frames - 1])
+            arrived_s = self._arrived_s.get(snapshot.frames - 1)
+            if arrived_s is not None:  # told a moment after the file has it
+                self._latencies.append(time.monotonic() - arrived_s)
 
     def _show_frame(self, image: CameraImage) -> None:
         self._arrived_s[image.frame] = image.arrived_monotonic_s
-        self._camera_box.put(image)
+        with contextlib.suppress(InputError):  # no memory left to show it
+            self._camera_box.put(image)
 
     def _publish(self) -> PrintStatus:
         clock_s, began_s = self._clock.now_s(), self._camera.started_s
@@ -232,7 +235,8 @@ class _Replay:
             frames=self._recorder.written, missed=0, disk_free_bytes=shutil.disk_usage(self._folder).free,
             disk_left_s=float("inf"), pattern=None, devices={"live": self._watcher.fault() or "ok"},
         )  # fmt: skip
-        self._status_box.put(status)
+        with contextlib.suppress(InputError):
+            self._status_box.put(status)
         return status
 
     def record(self) -> dict[str, Any]:

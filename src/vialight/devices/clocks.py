@@ -10,8 +10,9 @@ import numpy as np
 
 from vialight.system import make_shared_file, map_shared_file, words_of
 
-_VERSION, _BASE, _WALL, _RATE, _LIMIT, _COUNT = range(6)
-"""Version (odd while it is written), time and wall time of the last change, rate, limit."""
+_BASE, _WALL, _RATE, _LIMIT, _FIELDS = range(5)
+"""Time and wall time of the last change, rate, limit: of each of two records, behind the number of the newest."""
+_WORDS = 1 + 2 * _FIELDS
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,11 @@ class SimulatedClock:
     def __init__(self, path: Path, rate: float | None = None) -> None:
         self.path = path
         if rate is not None:
-            make_shared_file(path, 8 * _COUNT)
-        self._words = words_of(map_shared_file(path, 8 * _COUNT))
+            make_shared_file(path, 8 * _WORDS)
+        self._words = words_of(map_shared_file(path, 8 * _WORDS))
         self._numbers = self._words.view(np.float64)
         if rate is not None:
-            self._numbers[_BASE:_COUNT] = 0.0, time.monotonic(), rate, 0.0
+            self._write(0.0, time.monotonic(), rate, 0.0)
 
     def __reduce__(self) -> tuple[type[SimulatedClock], tuple[Path]]:
         return SimulatedClock, (self.path,)
@@ -75,13 +76,22 @@ class SimulatedClock:
         now = time.monotonic()
         if base + rate * (now - wall) > limit:
             base, wall = limit, now
-        self._words[_VERSION] += np.uint64(1)
-        self._numbers[_BASE:_COUNT] = base, wall, rate, limit_s
-        self._words[_VERSION] += np.uint64(1)
+        self._write(base, wall, rate, limit_s)
+
+    def _write(self, *record: float) -> None:
+        """Write the older record, then say that it is the newest: a writer that dies in between holds up nobody."""
+        number = int(self._words[0]) + 1
+        self._numbers[_place(number)] = record
+        self._words[0] = number
 
     def _read(self) -> tuple[float, float, float, float]:
         while True:
-            version = int(self._words[_VERSION])
-            base, wall, rate, limit = self._numbers[_BASE:_COUNT].tolist()
-            if version % 2 == 0 and version == int(self._words[_VERSION]):
+            number = int(self._words[0])
+            base, wall, rate, limit = self._numbers[_place(number)].tolist()
+            if number == int(self._words[0]):
                 return base, wall, rate, limit
+
+
+def _place(number: int) -> slice:
+    begin = 1 + number % 2 * _FIELDS
+    return slice(begin, begin + _FIELDS)

@@ -21,12 +21,14 @@ from vialight.core.errors import VialightError
 from vialight.devices.leasing import LOOK_S, Sight, Vigil
 from vialight.devices.panel import LightPanel
 from vialight.devices.protocols import Lease, Shown
-from vialight.system import leave_interrupts_to_the_print
+from vialight.system import leave_interrupts_to_the_print, state_of, wait_for
 from vialight.system.mailboxes import Mailbox
 
 CLOSING = b"closing"
 _CLOSING_S = 3.0
 """That the projector may take to end when it was told to."""
+_ENDS_WITHIN_S = 0.2
+"""That a process which is killed takes to end."""
 _ORPHANED_S = 0.2
 """That the projector may take to end by itself when the process that prints has ended."""
 
@@ -92,7 +94,7 @@ def guard(ward: Ward, session: Connection[Any, Any], alive: Connection[Any, Any]
         os.nice(-10)
     try:
         watch = _Watch(ward)
-    except VialightError as error:
+    except (VialightError, psutil.Error) as error:
         session.send_bytes(str(error).encode())
         return
     session.send_bytes(b"")
@@ -111,6 +113,7 @@ class _Watch:
         self._panel = LightPanel(self.ward.folder)
         self._shown = Mailbox(self.ward.folder / "shown", Shown)
         self._leases = Mailbox(self.ward.folder / "lease", Lease)
+        self._projector = psutil.Process(self.ward.pid)
         self._cover = self.ward.make_cover()
         self._panel.beat("guardian")
 
@@ -126,6 +129,7 @@ class _Watch:
             ready = wait(watched, timeout=LOOK_S)
             if alive in ready:  # it says nothing: this is its end
                 if not is_closing:
+                    self._panel.tell_covered()  # its light went with it
                     self._draw()
                     _tell(session, "has ended")
                     _wait_for_end(session, self._panel, self._cover)
@@ -139,8 +143,8 @@ class _Watch:
             if why is None and time.monotonic() > must_end_s:
                 why = "has not ended"
             if why is not None:
-                self._draw()
                 self._kill()
+                self._draw()
                 _tell(session, why)
                 if not is_closing:
                     _wait_for_end(session, self._panel, self._cover)
@@ -158,15 +162,20 @@ class _Watch:
             self._panel.is_stopped,
         )
 
-    def _draw(self) -> None:
-        with contextlib.suppress(VialightError, OSError):
-            self._cover.cover()
-            self._panel.tell_covered()
-
     def _kill(self) -> None:
+        """End the projector's process first: that waits for no graphics driver, as the cover may have to."""
         with contextlib.suppress(psutil.Error, OSError):
-            psutil.Process(self.ward.pid).kill()
-        self._panel.tell_covered()
+            self._projector.kill()
+
+    def _draw(self) -> None:
+        """Draw the cover; say that it is dark only when that is known."""
+        try:
+            self._cover.cover()
+        except Exception:  # whatever a window system says: where the process has ended, its window is gone, too
+            if wait_for(lambda: state_of(self.ward.pid) == "gone", timeout_s=_ENDS_WITHIN_S) is None:
+                self._panel.tell_covered()
+        else:
+            self._panel.tell_covered()
 
 
 def _tell(session: Connection[Any, Any], why: str) -> None:

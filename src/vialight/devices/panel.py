@@ -80,11 +80,6 @@ class LightPanel:
         """Whether the light has ended, as seen where it comes from: nothing can light any more in this print."""
         return bool(self._numbers[_ENDED] != 0.0 or self._numbers[_COVERED] != 0.0)
 
-    @property
-    def is_covered(self) -> bool:
-        """Whether the guardian has covered the projector's light."""
-        return bool(self._numbers[_COVERED] != 0.0)
-
     def tell_ended(self) -> None:
         """Say that the projector shows black, and will not show anything else: for who shows it."""
         self._numbers[_ENDED] = 1.0

@@ -21,7 +21,7 @@ import numpy as np
 from vialight.core.arrays import FloatArray
 from vialight.core.errors import VialightError
 from vialight.devices.guarding import CLOSING, CoverMaker, Ward, guard
-from vialight.devices.leasing import judge
+from vialight.devices.leasing import HUNG_S, judge
 from vialight.devices.panel import LightPanel
 from vialight.devices.protocols import Clock, DeviceError, DeviceGoneError, Lease, LightPhase, Shown
 from vialight.system import LineWriter, deaf_to_interrupts, leave_interrupts_to_the_print
@@ -166,6 +166,9 @@ class ProjectorProcess:
 
     def shown(self) -> Shown:
         """Return what is on the screen now."""
+        is_unguarded = not self.processes["guardian"].is_alive() or self._panel.age_s("guardian") > _GUARDIAN_SILENT_S
+        if is_unguarded and self._panel.age_s("projector") > HUNG_S:
+            self.processes["projector"].kill()  # both hang: nobody else is left to do it
         for name, process in self.processes.items():
             if not process.is_alive():
                 if name == "projector":

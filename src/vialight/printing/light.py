@@ -164,13 +164,16 @@ class LightOwner:
 
     def _end(self, by: str, message: str = "") -> None:
         """End the light, then say who did it."""
-        if not self.is_over:
-            self._phase = LightPhase.OVER
-            self._devices.projector.end()
-        if by != "end" and self.ended_by in ("", "stop"):
-            self.ended_by = by
-            if message:
-                self._log.note("light", message, lit_s=round(self.lit_s, 3))
+        try:
+            if not self.is_over:
+                self._devices.projector.end()
+        finally:  # who sees that it is over also sees by whom
+            is_news = by != "end" and self.ended_by in ("", "stop")
+            if is_news:
+                self.ended_by = by
+            self._phase = max(self._phase, LightPhase.OVER)
+        if is_news and message:
+            self._log.note("light", message, lit_s=round(self.lit_s, 3))
 
     def _beat(self) -> None:
         now = time.monotonic()
@@ -232,7 +235,7 @@ class LightOwner:
     def _stage_fault(self) -> str | None:
         told = None if self._stage is None else self._stage.fault(_LATE_S)
         if told is not None:
-            return told or "does not answer"
+            return told
         speed, wanted = abs(self._track.speed_rad_s()), abs(self._rules.turning_rad_s)
         if self._phase == LightPhase.LIT and not speed >= _SLOW_SHARE * wanted:
             return f"turns at {math.degrees(speed):.1f} deg/s instead of {math.degrees(wanted):.1f}"

@@ -89,7 +89,11 @@ class ControlServer:
             if not self._places.acquire(blocking=False):
                 connection.close()
                 continue
-            threading.Thread(target=self._serve, args=(connection,), name="order", daemon=True).start()
+            try:
+                threading.Thread(target=self._serve, args=(connection,), name="order", daemon=True).start()
+            except RuntimeError:  # the system has no thread left: who asks again may find one
+                self._places.release()
+                connection.close()
 
     def _serve(self, connection: socket.socket) -> None:
         try:

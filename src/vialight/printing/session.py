@@ -327,7 +327,8 @@ class _Session:
             self._publish()
 
     def _pass_time(self, duration_s: float, *, is_after: bool = False) -> None:
-        end, patience_s = self._devices.clock.now_s() + duration_s, 10 * duration_s + 10
+        end = self._devices.clock.now_s() + duration_s
+        patience_s = (2 * duration_s + 10) / min(1.0, self._devices.clock.rate) + 8 * duration_s
 
         def has_passed() -> bool:
             return self._devices.clock.now_s() >= end
@@ -339,6 +340,7 @@ class _Session:
         is_after: bool = False,
     ) -> None:  # fmt: skip
         """Wait; before the light has begun, until it is ended at the longest."""
+        timeout_s /= min(1.0, self._devices.clock.rate)
         told = wait_for(
             lambda: until() or (self._light.is_over and not is_after), timeout_s=timeout_s, tick=self._show_now_and_then
         )
@@ -361,7 +363,8 @@ class _Session:
             | self._light.devices_health,
             doubts=self._doubts,
         )  # fmt: skip
-        self._status_box.put(status)
+        with contextlib.suppress(InputError):  # no memory left to show it
+            self._status_box.put(status)
         self._on_status(status)
 
 

@@ -143,7 +143,8 @@ class StageFollower:
 
     def fault(self, patience_s: float) -> str | None:
         """Say what is wrong with the stage, where that has lasted; None while it answers."""
-        return self._told if time.monotonic() - self._answered_s > patience_s else None
+        is_silent = time.monotonic() - self._answered_s > patience_s
+        return (self._told or "does not answer") if is_silent else None
 
     def close(self) -> None:
         """Ask no more."""
@@ -160,3 +161,6 @@ class StageFollower:
             except DeviceError as error:
                 self._told, self._answered_s = str(error), float("-inf")
                 return
+            except Exception as error:
+                self._told, self._answered_s = f"its driver has failed: {error!r}", float("-inf")
+                raise

@@ -80,6 +80,14 @@ def tables_beside(path: Path) -> Path:
     return path.with_name(f"{path.name}.synced")
 
 
+def read_at(descriptor: int, length: int, offset: int) -> bytes:
+    """Return what a file holds at a place; nobody else may move the descriptor meanwhile."""
+    if hasattr(os, "pread"):
+        return os.pread(descriptor, length, offset)
+    os.lseek(descriptor, offset, os.SEEK_SET)
+    return os.read(descriptor, length)
+
+
 def gaps_between(extents: Sequence[Extent], size: int) -> list[Extent]:
     """Return what of a file of `size` bytes lies outside of all extents.
 
@@ -100,7 +108,7 @@ def gaps_between(extents: Sequence[Extent], size: int) -> list[Extent]:
 def read_tables(descriptor: int, extents: Sequence[Extent], size: int) -> tuple[list[Extent], list[bytes]]:
     """Read all of an HDF5 file that does not lie in the extents of its frames."""
     places = gaps_between(extents, size)
-    return places, [os.pread(descriptor, length, offset) for offset, length in places]
+    return places, [read_at(descriptor, length, offset) for offset, length in places]
 
 
 def write_tables(path: Path, frames: int, size: int, places: list[Extent], pieces: list[bytes]) -> None:
@@ -164,7 +172,7 @@ def open_torn(path: Path) -> Any:
 
 def end_of_hdf5(descriptor: int) -> int:
     """Return the length that an HDF5 file says it has; what lies beyond was only reserved."""
-    (end,) = struct.unpack("<Q", os.pread(descriptor, 8, _END_AT))
+    (end,) = struct.unpack("<Q", read_at(descriptor, 8, _END_AT))
     return int(end)
 
 

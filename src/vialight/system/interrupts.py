@@ -13,21 +13,26 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+_FROM_A_TERMINAL = [getattr(signal, name) for name in ("SIGINT", "SIGTSTP") if hasattr(signal, name)]
+"""Ctrl-C and Ctrl-Z."""
+
 
 def leave_interrupts_to_the_print() -> None:
-    """Go on when the user presses Ctrl-C: what that ends, and when, is for the process that prints to decide.
+    """Go on when the user presses Ctrl-C or Ctrl-Z: what that ends is for the process that prints to decide.
 
-    For processes that a print has started, called first of all: a terminal sends Ctrl-C to every one of them.  From
-    then on Linux lists the process by the name that the print has given it, for who looks which one hangs.
+    For processes that a print has started, called first of all: a terminal sends both to every one of them.  Ctrl-Z
+    would stop the projector and all who watch it at once; so it stops the print alone, whose leave to show light then
+    ends.  From then on Linux lists the process by the name that the print has given it, for who looks which one hangs.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in _FROM_A_TERMINAL:
+        signal.signal(number, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         Path("/proc/self/comm").write_text(multiprocessing.current_process().name, encoding="utf-8")
 
 
 @contextlib.contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
-    """Start processes within that do not hear Ctrl-C even before their own first line has run.
+    """Start processes within that do not hear Ctrl-C or Ctrl-Z even before their own first line has run.
 
     Without, one that is still importing its modules dies of it.  Only the thread that starts them is deaf meanwhile;
     where the system has no such thing, they are as before.
@@ -36,7 +41,7 @@ def deaf_to_interrupts() -> Iterator[None]:
         yield
         return
     resource_tracker.ensure_running()  # multiprocessing's own, which lets the signal through again when it starts it
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _FROM_A_TERMINAL)
     try:
         yield
     finally:

@@ -85,6 +85,7 @@ class Mailbox(Generic[_T]):
         self._capacity = (len(self._map) - _HEAD_BYTES) // _SLOTS // _WORD * _WORD - _SLOT_HEAD_BYTES
         if self._capacity < 0:
             raise InputError(self.path, "is no mailbox", remedy="check that the print is running")
+        self._inode = _inode(self.path)
         self._written = 0
         self._reserved = [0] * _SLOTS
 
@@ -103,6 +104,11 @@ class Mailbox(Generic[_T]):
             self._map.close()
         if self._let_go is not None:
             self._let_go()
+
+    @property
+    def is_replaced(self) -> bool:
+        """Whether another writer has made the file anew, so that nothing more comes here."""
+        return _inode(self.path) not in (self._inode, None)
 
     def put(self, message: _T) -> None:
         """Make a message the newest one.
@@ -158,3 +164,10 @@ class Mailbox(Generic[_T]):
 
     def _slot(self, number: int) -> int:
         return int(_HEAD_BYTES + (number % _SLOTS) * (_SLOT_HEAD_BYTES + self._capacity))
+
+
+def _inode(path: Path) -> int | None:
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return None

@@ -11,12 +11,14 @@ import shutil
 import stat
 import tempfile
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from vialight.core.errors import InputError
 from vialight.system.processes import ProcessIdentity, identity_of, is_same_process
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _PREFIX = "vialight-"
 _OWNER = "owner.json"
@@ -40,7 +42,7 @@ def _made_in(host: Path) -> Path:
     _clear_away_leavings(host)
     folder = host / f"{_PREFIX}{os.getpid()}-{secrets.token_hex(4)}"
     folder.mkdir(mode=0o700)
-    (folder / _OWNER).write_text(json.dumps(identity_of()), encoding="utf-8")
+    (folder / _OWNER).write_text(json.dumps({"process": identity_of(), "numbers": _numbers()}), encoding="utf-8")
     return folder
 
 
@@ -151,6 +153,8 @@ def words_of(mapped: mmap.mmap) -> NDArray[np.uint64]:
 
     `struct.pack_into` first clears what it then fills: another process may see that, and a writer may be stopped there.
     """
+    import numpy as np  # heavy, and commands that only tell of themselves do without
+
     return np.frombuffer(mapped, np.uint64, len(mapped) // 8)
 
 
@@ -176,7 +180,17 @@ def _clear_away_leavings(host: Path) -> None:
 
 
 def _has_owner(folder: Path, pid: int) -> bool:
+    """Tell whether the process that made a folder is there, or cannot be looked for from here."""
     try:
-        return is_same_process(ProcessIdentity(*json.loads((folder / _OWNER).read_text(encoding="utf-8"))))
-    except (OSError, ValueError, TypeError):
+        owner = json.loads((folder / _OWNER).read_text(encoding="utf-8"))
+        return owner["numbers"] != _numbers() or is_same_process(ProcessIdentity(*owner["process"]))
+    except (OSError, ValueError, TypeError, KeyError):
         return identity_of(pid) is not None  # just being made, or what made it ended before it could say who it was
+
+
+def _numbers() -> str:
+    """Return what tells apart containers that number their processes by themselves."""
+    try:
+        return str(Path("/proc/self/ns/pid").readlink())
+    except OSError:
+        return ""

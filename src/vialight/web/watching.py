@@ -103,7 +103,7 @@ class _Reader:
     def newest(self, link: LiveLink) -> Any | None:
         """Return the newest message that was not returned yet."""
         path = Path(link.mailboxes) / self._name
-        if self._box is not None and self._box.path != path:
+        if self._box is not None and (self._box.path != path or self._box.is_replaced):
             self._box.close()
             self._box = None
         if self._box is None:

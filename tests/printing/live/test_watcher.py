@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 
 from printing.prints import recorded_rig
+from vialight.core.messages import StopForecast
 from vialight.printing.live.following import LiveSettings
 from vialight.printing.live.talking import READY
 from vialight.printing.live.watcher import LiveWatcher, Name
+from vialight.system.mailboxes import Mailbox
 
 
 class SlowPipe:
@@ -54,3 +56,15 @@ def test_threads_that_ask_at_once_hear_the_same(watcher: LiveWatcher) -> None:
     for thread in threads:
         thread.join(5.0)
     assert heard == [True] * 4
+
+
+def test_forecast_of_a_measurement_that_was_started_again_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
+    watcher = LiveWatcher(LiveSettings(tmp_path, tmp_path, recorded_rig(), 880.0, 30))
+    assert watcher.forecast() is None
+    with Mailbox(tmp_path / "forecast", StopForecast, 2**14) as before:
+        before.put(StopForecast(100.0, 1.0, "seen"))
+        assert watcher.forecast() == StopForecast(100.0, 1.0, "seen")
+    with Mailbox(tmp_path / "forecast", StopForecast, 2**14) as again:
+        assert watcher.forecast() is None
+        again.put(StopForecast(90.0, 1.0, "seen anew"))
+        assert watcher.forecast() == StopForecast(90.0, 1.0, "seen anew")

@@ -101,7 +101,8 @@ def run_world(
 ) -> None:
     """Simulate until told to end, or until the process that prints is gone."""
     leave_interrupts_to_the_print()
-    os.nice(5)  # the simulation waits for the print, never the other way round
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(5)  # the simulation waits for the print, never the other way round
     resin, rig = load_resin(settings.resin), find_rig(settings.rig)
     plan = None if settings.plan_path is None else read_plan(settings.plan_path)
     part = plan.reference if plan is not None else load_mesh(settings.part_path or "no part")

@@ -12,7 +12,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from vialight.core.messages import Snapshot, StopForecast, SurfaceSnapshot
+from vialight.core.errors import InputError
+from vialight.core.messages import StopForecast
 from vialight.devices.panel import LightPanel
 from vialight.printing.live.analysing import analyse
 from vialight.printing.live.analysis import grid_of, region_of
@@ -156,14 +157,6 @@ class LiveWatcher:
         """Return when the light should go off, as far as known."""
         return self._newest("forecast", StopForecast)
 
-    def snapshot(self) -> Snapshot | None:
-        """Return the newest snapshot."""
-        return self._newest("snapshot", Snapshot)
-
-    def surface(self) -> SurfaceSnapshot | None:
-        """Return the newest surface."""
-        return self._newest("surface", SurfaceSnapshot)
-
     def close(self) -> None:
         """Let both processes finish with what is recorded, and end them."""
         for name in _HUNG_S:
@@ -194,12 +187,14 @@ class LiveWatcher:
             connection.close()
 
     def _newest(self, name: str, kind: type[_T]) -> _T | None:
-        path = self._settings.mailboxes / name
-        if name not in self._boxes:
-            if not path.exists():
-                return None
-            self._boxes[name] = Mailbox(path, kind)
-        found: tuple[int, _T] | None = self._boxes[name].newest()
+        boxes = self._boxes  # the thread that prints may put others in their place meanwhile
+        try:
+            box = boxes.get(name)
+            if box is None or box.is_replaced:
+                box = boxes[name] = Mailbox(self._settings.mailboxes / name, kind)
+            found: tuple[int, _T] | None = box.newest()
+        except InputError:
+            return None
         return None if found is None else found[1]
 
 
