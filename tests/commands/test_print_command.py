@@ -181,6 +181,21 @@ def test_ctrl_c_ends_the_light_at_once_while_nobody_reads_the_terminal(tmp_path:
     os.close(theirs)
 
 
+def test_ctrl_z_ends_the_light_at_once_and_it_comes_back_with_the_print(tmp_path: Path) -> None:
+    """A terminal sends it to every process of the print; one that stops all of them would leave the light on."""
+    with begun_print(tmp_path, "--stop", "turns=30", process_group=0) as (process, link):
+        wait_for(lambda: any(flip.pattern != BLACK for flip in read_flips(link.mailboxes)))
+        time.sleep(1.0)
+        asked = time.monotonic()
+        os.killpg(process.pid, signal.SIGTSTP)
+        time.sleep(1.0)
+        last = read_flips(link.mailboxes)[-1]
+        assert last.pattern == BLACK
+        assert last.monotonic_s - asked < 0.25
+        os.killpg(process.pid, signal.SIGCONT)
+        wait_for(lambda: read_flips(link.mailboxes)[-1].pattern != BLACK)
+
+
 def test_closed_terminal_does_not_keep_a_print_from_ending_well(tmp_path: Path) -> None:
     plan, rig = write_quick_plan(tmp_path)
     command = f"exec '{Path(sys.executable).with_name('vialight')}' print '{plan}' --rig '{rig}' --out '{tmp_path}/run'"
