@@ -133,9 +133,8 @@ def begun_print(folder: Path, *options: str, **popen: Any) -> Iterator[tuple[sub
         process.wait()
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.6, 1.5])
-@pytest.mark.parametrize("by", ["Ctrl-C", "order"])
-def test_print_that_is_stopped_before_the_first_light_is_never_lit(tmp_path: Path, after_s: float, by: str) -> None:
+@pytest.mark.parametrize(("by", "after_s"), [("Ctrl-C", 0.0), ("order", 0.5), ("Ctrl-C", 1.2)])
+def test_print_that_is_stopped_before_the_first_light_is_never_lit(tmp_path: Path, by: str, after_s: float) -> None:
     with begun_print(tmp_path, "--stop", "turns=2") as (process, link):
         time.sleep(after_s)
         flips = link.mailboxes / "flips"
@@ -202,29 +201,6 @@ def test_closed_terminal_does_not_keep_a_print_from_ending_well(tmp_path: Path) 
     command += f" --resin-voxel 0.4 --bin {BINNING} --rate 4 --stop turns=1 >/dev/null 2>&-"
     assert subprocess.run(["sh", "-c", command], timeout=_PATIENCE_S, check=False).returncode == 0
     assert read_json(tmp_path / "run" / "run.json")["state"] == "done"
-
-
-def test_small_place_in_memory_ends_a_print_before_the_light_in_one_line(tmp_path: Path) -> None:
-    """As in a container with 64 MB of it, or less."""
-    plan, rig = write_quick_plan(tmp_path)
-    program = Path(sys.executable).with_name("vialight")
-    command = (
-        f"mount -t tmpfs -o size=3m tmpfs /dev/shm && exec '{program}' print '{plan}' --rig '{rig}' "
-        f"--out '{tmp_path}/run' --resin-voxel 0.4 --bin {BINNING} --rate 4 --stop turns=1"
-    )
-    told = subprocess.run(
-        ["unshare", "--mount", "sh", "-c", command], capture_output=True, text=True, timeout=_PATIENCE_S, check=False
-    )
-    if "unshare" in told.stderr or "mount:" in told.stderr:
-        pytest.skip("another /dev/shm can only be mounted by root")
-    assert told.returncode in (1, 2)
-    last = told.stderr.splitlines()[-1]
-    assert "of shared memory" in last
-    assert "docker run --shm-size" in last
-    assert (
-        not (tmp_path / "run" / "projector.csv").exists()
-        or "," not in (tmp_path / "run" / "projector.csv").read_text().partition("\n")[2]
-    )
 
 
 def test_print_goes_on_after_its_live_measurement_was_killed(tmp_path: Path) -> None:

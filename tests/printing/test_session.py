@@ -18,6 +18,7 @@ from printing.prints import SPEED_DEG_S, TURN_S, Bystander, quick_print, quick_p
 from vialight.core.arrays import FloatArray
 from vialight.core.errors import InputError
 from vialight.core.messages import PrintStatus, StopForecast
+from vialight.devices import DeviceError
 from vialight.devices.simulated import Mishaps
 from vialight.devices.simulated.display import BLACK, Flip, read_flips
 from vialight.devices.simulated.motion import Segments, angle_at
@@ -290,6 +291,20 @@ def test_watcher_with_a_fault_holds_the_light(tmp_path: Path) -> None:
         stretches = dark_stretches(read_flips(printer.folder))
     assert told["ended_by"] == "turns"
     assert stretches
+
+
+def test_live_measurement_that_cannot_begin_ends_the_print_before_any_light(tmp_path: Path) -> None:
+    class NeverBegins(Bystander):
+        def is_ready(self) -> bool:
+            return False
+
+        def has_ended(self) -> bool:
+            return True
+
+    with quick_printer(tmp_path) as printer:
+        with pytest.raises(DeviceError, match="live measurement: /dev/shm has no room"):
+            quick_print(tmp_path, printer, watcher=NeverBegins(told="/dev/shm has no room"))
+        assert read_flips(printer.folder) == []
 
 
 def test_saturated_camera_is_refused_before_any_light(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import threading
 import time
 from pathlib import Path
@@ -10,9 +11,11 @@ from typing import Any
 import pytest
 
 from printing.prints import recorded_rig
+from vialight.core.arrays import Grid
 from vialight.core.messages import StopForecast
 from vialight.printing.live.following import LiveSettings
-from vialight.printing.live.talking import READY
+from vialight.printing.live.sharing import SharedVolume
+from vialight.printing.live.talking import FAULT, READY, faults_told_to
 from vialight.printing.live.watcher import LiveWatcher, Name
 from vialight.system.mailboxes import Mailbox
 
@@ -68,3 +71,17 @@ def test_forecast_of_a_measurement_that_was_started_again_takes_the_place_of_the
         assert watcher.forecast() is None
         again.put(StopForecast(90.0, 1.0, "seen anew"))
         assert watcher.forecast() == StopForecast(90.0, 1.0, "seen anew")
+
+
+def test_process_that_finds_no_memory_says_so_in_its_errors_own_words(tmp_path: Path) -> None:
+    """As in a container with a small place in memory: the print tells it before there is light."""
+    ours, theirs = multiprocessing.Pipe()
+    grid = Grid((4000, 4000, 4000), 0.05)
+    with faults_told_to(theirs):
+        SharedVolume.make(tmp_path / "volume", grid, (slice(0, 1), slice(0, 1), slice(0, 1)))
+    told = ours.recv_bytes()
+    assert told.startswith(FAULT)
+    assert b"has no room for" in told
+    assert b"docker run --shm-size" in told
+    ours.close()
+    theirs.close()
