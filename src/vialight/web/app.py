@@ -194,17 +194,10 @@ class PageServer:
 
     async def open_session(self, request: Request) -> Response:
         """Take the token and give a cookie."""
-        address = request.client.host if request.client else ""
-        wait_s = self.access.limit.wait_s(address)
-        if wait_s > 0:
-            return _error(429, f"too many wrong tokens; wait {wait_s:.0f} s", {"Retry-After": str(int(wait_s) + 1)})
         given = await _json_of(request)
         token = given.get("token") if isinstance(given, dict) else None
-        if not isinstance(token, str):
-            return _error(400, 'no token; accepted: {"token": "..."}')
-        if not self.access.is_token(token):
-            self.access.limit.fail(address)
-            return _error(401, "wrong token")
+        if not isinstance(token, str) or not self.access.is_token(token):
+            return self._refuse_token(request.client.host if request.client else "", is_given=isinstance(token, str))
         let_in(request.scope)
         response = Response(status_code=204)
         response.set_cookie(
@@ -212,6 +205,16 @@ class PageServer:
             max_age=30 * 86400,
         )  # fmt: skip
         return response
+
+    def _refuse_token(self, address: str, *, is_given: bool) -> Response:
+        """Answer a token that is wrong, or none: who has tried too many has to wait, but never the right one."""
+        wait_s = self.access.limit.wait_s(address)
+        if wait_s > 0:
+            return _error(429, f"too many wrong tokens; wait {wait_s:.0f} s", {"Retry-After": str(int(wait_s) + 1)})
+        if not is_given:
+            return _error(400, 'no token; accepted: {"token": "..."}')
+        self.access.limit.fail(address)
+        return _error(401, "wrong token")
 
     async def list_runs(self, request: Request) -> Response:
         """List the runs, newest first."""
