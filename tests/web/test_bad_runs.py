@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 import zipfile
@@ -17,6 +19,7 @@ import numpy as np
 import psutil
 import pytest
 
+from gifts import trapped
 from vialight.store import list_history
 from vialight.web import PageProcess, PageSettings
 from vialight.web.runs import own_file, own_folder
@@ -27,6 +30,7 @@ from web.test_server import take, wait_for
 pytestmark = pytest.mark.alone
 
 QUICK_S = 2.0
+PROGRAM = str(Path(sys.executable).parent / "vialight")
 SECRET = "the secret of another file"
 
 
@@ -313,3 +317,39 @@ def test_a_long_log_is_told_in_parts_and_only_what_is_new_is_read(shelf: Shelf) 
     with log.open("a") as file:
         file.write('ent": "last"}\n')
     assert shelf.ask("bad", "/log/2501").json == [{"event": "last"}]
+
+
+def run_everything(link: str) -> None:
+    """Have every process of a server started and asked, for the only run that it shows."""
+    client = Client(link)
+    wait_for(lambda: client.ask("/api/runs").json[0]["fault"] is None)  # the readers have started
+    path = f"/api/runs/{client.ask('/api/runs').json[0]['key']}"
+    stop = Client(link.replace(client.host, f"127.0.0.1:{client.ask('/api/session').json['stop_port']}"))
+    assert stop.post(f"{path}/stop").status == 409  # it is not printing
+    client.post(f"{path}/timelapse")
+    wait_for(lambda: client.ask(f"{path}/timelapse").json["state"] == "failed")  # there are no surfaces
+
+
+@pytest.fixture
+def gift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run that is the current folder, and has modules in it; return the file that is there once they were run."""
+    (tmp_path / "run.json").write_text('{"state": "done"}')
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    return trapped(tmp_path)
+
+
+def test_a_run_that_is_the_current_folder_runs_no_code_of_its_own(gift: Path) -> None:
+    with PageProcess(".", PageSettings(port=0)) as page:
+        run_everything(page.link)
+    assert not gift.exists()
+
+
+def test_a_run_that_is_the_current_folder_of_the_command_runs_no_code_of_its_own(gift: Path) -> None:
+    with subprocess.Popen([PROGRAM, "serve", ".", "--port", "0"], stdout=subprocess.PIPE, text=True) as serving:
+        try:
+            assert serving.stdout is not None
+            run_everything(serving.stdout.readline().split()[1])
+        finally:
+            serving.terminate()
+    assert not gift.exists()
