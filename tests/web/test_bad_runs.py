@@ -319,6 +319,29 @@ def test_a_long_log_is_told_in_parts_and_only_what_is_new_is_read(shelf: Shelf) 
     assert shelf.ask("bad", "/log/2501").json == [{"event": "last"}]
 
 
+def test_a_run_whose_name_is_not_utf8_is_listed_shown_and_downloaded(shelf: Shelf) -> None:
+    shelf.bad().rename(shelf.root / os.fsdecode(b"bad-\xff"))
+    good_is_well(shelf)
+    assert shelf.listed()["bad-?"]["state"] == "done"
+    assert shelf.ask("bad-?").json["name"] == "bad-?"
+    answer = shelf.ask("bad-?", "/files/run.json")
+    assert answer.status == 200
+    assert "bad-%3F-run.json" in answer.headers["content-disposition"]
+    assert shelf.ask("bad-?", "/slices/0/0/0").status == 404
+    answer = shelf.client.post(f"/api/runs/{shelf.listed()['bad-?']['key']}/stop")
+    assert (answer.status, "error" in answer.json) == (409, True)
+
+
+def test_a_folder_of_runs_whose_name_is_not_utf8_is_shown(tmp_path: Path) -> None:
+    root = tmp_path / os.fsdecode(b"shelf-\xff")
+    (root / "run").mkdir(parents=True)
+    (root / "run" / "run.json").write_text("{}")
+    with PageProcess(root, PageSettings(port=0)) as page:
+        client = Client(page.link)
+        assert client.ask("/api/session").json["name"] == "shelf-?"
+        assert [run["name"] for run in client.ask("/api/runs").json] == ["run"]
+
+
 def run_everything(link: str) -> None:
     """Have every process of a server started and asked, for the only run that it shows."""
     client = Client(link)

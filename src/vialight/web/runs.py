@@ -35,13 +35,26 @@ class Run:
     key: str
     """What addresses call it: of letters and digits."""
     name: str
+    """What people are shown: `printable`, so that no path is made of it."""
     folder: Path
 
     @classmethod
     def of(cls, folder: Path) -> Run:
         """Return the run in a folder."""
         digest = hashlib.sha256(folder.name.encode("utf-8", "surrogateescape")).hexdigest()
-        return cls(digest[:12], folder.name, folder)
+        return cls(digest[:12], printable(folder.name), folder)
+
+
+def printable(name: str) -> str:
+    r"""Return a name as it can be shown and sent: what in it is not UTF-8 as question marks.
+
+    Examples
+    --------
+    >>> import os
+    >>> printable(os.fsdecode(b"ring-\xff"))
+    'ring-?'
+    """
+    return name.encode("utf-8", "replace").decode()
 
 
 def is_run(folder: Path) -> bool:
