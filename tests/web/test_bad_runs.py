@@ -319,6 +319,18 @@ def test_a_long_log_is_told_in_parts_and_only_what_is_new_is_read(shelf: Shelf) 
     assert shelf.ask("bad", "/log/2501").json == [{"event": "last"}]
 
 
+@pytest.mark.parametrize("line", ['{"a":' * 800 + "1" + "}" * 800, '{"a": ' + "9" * 4000 + "}", '"NaN"', "[]"])
+def test_a_line_of_a_log_that_cannot_be_told_hides_no_other(shelf: Shelf, line: str) -> None:
+    (shelf.bad() / "log.jsonl").write_text(f'{{"event": "before"}}\n{line}\n{{"event": "after"}}\n')
+    told = shelf.ask("bad", "/log/0").json
+    assert [event["event"] for event in told] == ["before", "a line that cannot be read", "after"]
+
+
+def test_a_line_of_a_log_with_a_number_that_is_none_is_told_without_it(shelf: Shelf) -> None:
+    (shelf.bad() / "log.jsonl").write_text('{"event": "measured", "rmse_mm": NaN, "time_s": 1.5}\n')
+    assert shelf.ask("bad", "/log/0").json == [{"event": "measured", "rmse_mm": None, "time_s": 1.5}]
+
+
 def test_a_run_whose_name_is_not_utf8_is_listed_shown_and_downloaded(shelf: Shelf) -> None:
     shelf.bad().rename(shelf.root / os.fsdecode(b"bad-\xff"))
     good_is_well(shelf)

@@ -10,6 +10,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from vialight.core.errors import InputError
+from vialight.store.results import parse_json
 from vialight.web.runs import Run, own_file
 
 _LOG = "log.jsonl"
@@ -86,8 +88,9 @@ def log_lines(run: Run, start: int) -> list[dict[str, Any]]:
 
 
 def _event(line: bytes) -> dict[str, Any]:
-    with contextlib.suppress(ValueError, RecursionError):
-        event = json.loads(line)
-        if isinstance(event, dict):
-            return event
+    """Return what a line says; no number (NaN), which Python's own writer writes and JSON has not, as nothing."""
+    with contextlib.suppress(InputError):
+        return parse_json(line, _LOG)
+    with contextlib.suppress(InputError, ValueError, RecursionError):
+        return parse_json(json.dumps(json.loads(line, parse_constant=lambda name: None)), _LOG)
     return dict(_NO_EVENT)
