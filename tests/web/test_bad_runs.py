@@ -12,6 +12,7 @@ import threading
 import time
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,12 @@ import psutil
 import pytest
 
 from gifts import trapped
-from vialight.store import list_history
+from vialight.store import list_history, read_plan, write_plan
 from vialight.web import PageProcess, PageSettings
-from vialight.web.runs import own_file, own_folder
+from vialight.web.data import RunData
+from vialight.web.run_log import LogTail
+from vialight.web.runs import Run, own_file, own_folder
+from vialight.web.thumbnails import thumbnail
 from web.clients import Answer, Client
 from web.pretend_print import PretendPrint
 from web.test_server import take, wait_for
@@ -329,6 +333,34 @@ def test_a_line_of_a_log_that_cannot_be_told_hides_no_other(shelf: Shelf, line: 
 def test_a_line_of_a_log_with_a_number_that_is_none_is_told_without_it(shelf: Shelf) -> None:
     (shelf.bad() / "log.jsonl").write_text('{"event": "measured", "rmse_mm": NaN, "time_s": 1.5}\n')
     assert shelf.ask("bad", "/log/0").json == [{"event": "measured", "rmse_mm": None, "time_s": 1.5}]
+
+
+def test_a_run_that_was_removed_and_printed_anew_is_shown_as_it_is_now(root: Path, tmp_path: Path) -> None:
+    first, second = root / "good", tmp_path / "second"
+    shutil.copytree(first, second)
+    plan = read_plan(second / "plan.h5")
+    write_plan(second / "plan.h5", replace(plan, patterns=replace(plan.patterns, levels=255 - plan.patterns.levels)))
+    moments = sorted((second / "history").iterdir())
+    shutil.copy(moments[0], moments[-1])
+    run = Run.of(tmp_path / "ring")
+
+    def tell(data: RunData) -> tuple[Any, ...]:
+        return data.curves(0)["rows"][-1], data.pattern(0), thumbnail(data.run, True)
+
+    data = RunData(run)
+    for folder in (first, second):
+        shutil.rmtree(run.folder, ignore_errors=True)
+        shutil.copytree(folder, run.folder)
+        told = zip(tell(data), tell(RunData(Run.of(folder))), strict=True)
+        assert [ours == theirs for ours, theirs in told] == [True, True, True]
+
+
+def test_a_log_that_was_begun_anew_is_told_from_its_begin(tmp_path: Path) -> None:
+    log, tail = tmp_path / "log.jsonl", LogTail(tmp_path)
+    log.write_text('{"event": "old"}\n{"event": "older"}\n')
+    assert len(tail.lines(0)) == 2
+    log.write_text('{"event": "a longer one"}\n{"event": "and another that is long"}\n')  # with the same inode
+    assert [event["event"] for event in tail.lines(0)] == ["a longer one", "and another that is long"]
 
 
 def test_a_run_whose_name_is_not_utf8_is_listed_shown_and_downloaded(shelf: Shelf) -> None:

@@ -24,6 +24,9 @@ _MOST_NAMES = 100_000
 _NOT_THERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
 
 
+Mark = tuple[int, int]
+
+
 class CannotTellError(InputError):
     """Whether a print runs, or does what it is told, cannot be told: not to be taken for a no."""
 
@@ -124,6 +127,12 @@ def own_file(folder: Path, name: str, *, most_bytes: int | None = None) -> Path 
         return None
     is_small = most_bytes is None or about.st_size <= most_bytes
     return path if stat.S_ISREG(about.st_mode) and is_small else None
+
+
+def mark_of(path: Path | None) -> Mark | None:
+    """Return what a file's content is known again by: another one has another, also by the same name; None: no file."""
+    about = None if path is None else _about(path)
+    return None if about is None else (about.st_ino, about.st_mtime_ns)
 
 
 def own_folder(folder: Path, name: str) -> Path | None:
