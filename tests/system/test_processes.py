@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from vialight.system import identity_of, is_same_process, state_of, wait_for
+from gifts import trapped
+from vialight.system import deaf_to_interrupts, identity_of, is_same_process, state_of, wait_for
 
 
 @pytest.fixture
@@ -53,3 +56,18 @@ def test_stopped_process_is_seen_as_stopped_and_as_running_when_it_goes_on(sleep
 def test_killed_process_is_gone_before_its_parent_has_looked(sleeper: subprocess.Popen[bytes]) -> None:
     sleeper.kill()
     assert wait_for(lambda: state_of(sleeper.pid) == "gone", timeout_s=5) is None
+
+
+def test_process_that_is_started_imports_nothing_from_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    marker = trapped(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    process = multiprocessing.get_context("spawn").Process(target=abs, args=(1,))
+    with deaf_to_interrupts():
+        process.start()
+    process.join(60)
+    assert not marker.exists()
+    assert process.exitcode == 0
+    assert "PYTHONSAFEPATH" not in os.environ  # what else is started is not ours to change

@@ -6,10 +6,13 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +20,13 @@ import numpy as np
 import psutil
 import pytest
 
-from vialight.store import list_history
+from gifts import trapped
+from vialight.store import list_history, read_plan, write_plan
 from vialight.web import PageProcess, PageSettings
-from vialight.web.runs import own_file, own_folder
+from vialight.web.data import RunData
+from vialight.web.run_log import LogTail
+from vialight.web.runs import Run, own_file, own_folder
+from vialight.web.thumbnails import thumbnail
 from web.clients import Answer, Client
 from web.pretend_print import PretendPrint
 from web.test_server import take, wait_for
@@ -27,6 +34,7 @@ from web.test_server import take, wait_for
 pytestmark = pytest.mark.alone
 
 QUICK_S = 2.0
+PROGRAM = str(Path(sys.executable).parent / "vialight")
 SECRET = "the secret of another file"
 
 
@@ -313,3 +321,102 @@ def test_a_long_log_is_told_in_parts_and_only_what_is_new_is_read(shelf: Shelf) 
     with log.open("a") as file:
         file.write('ent": "last"}\n')
     assert shelf.ask("bad", "/log/2501").json == [{"event": "last"}]
+
+
+@pytest.mark.parametrize("line", ['{"a":' * 800 + "1" + "}" * 800, '{"a": ' + "9" * 4000 + "}", '"NaN"', "[]"])
+def test_a_line_of_a_log_that_cannot_be_told_hides_no_other(shelf: Shelf, line: str) -> None:
+    (shelf.bad() / "log.jsonl").write_text(f'{{"event": "before"}}\n{line}\n{{"event": "after"}}\n')
+    told = shelf.ask("bad", "/log/0").json
+    assert [event["event"] for event in told] == ["before", "a line that cannot be read", "after"]
+
+
+def test_a_line_of_a_log_with_a_number_that_is_none_is_told_without_it(shelf: Shelf) -> None:
+    (shelf.bad() / "log.jsonl").write_text('{"event": "measured", "rmse_mm": NaN, "time_s": 1.5}\n')
+    assert shelf.ask("bad", "/log/0").json == [{"event": "measured", "rmse_mm": None, "time_s": 1.5}]
+
+
+def test_a_run_that_was_removed_and_printed_anew_is_shown_as_it_is_now(root: Path, tmp_path: Path) -> None:
+    first, second = root / "good", tmp_path / "second"
+    shutil.copytree(first, second)
+    plan = read_plan(second / "plan.h5")
+    write_plan(second / "plan.h5", replace(plan, patterns=replace(plan.patterns, levels=255 - plan.patterns.levels)))
+    moments = sorted((second / "history").iterdir())
+    shutil.copy(moments[0], moments[-1])
+    run = Run.of(tmp_path / "ring")
+
+    def tell(data: RunData) -> tuple[Any, ...]:
+        return data.curves(0)["rows"][-1], data.pattern(0), thumbnail(data.run, True)
+
+    data = RunData(run)
+    for folder in (first, second):
+        shutil.rmtree(run.folder, ignore_errors=True)
+        shutil.copytree(folder, run.folder)
+        told = zip(tell(data), tell(RunData(Run.of(folder))), strict=True)
+        assert [ours == theirs for ours, theirs in told] == [True, True, True]
+
+
+def test_a_log_that_was_begun_anew_is_told_from_its_begin(tmp_path: Path) -> None:
+    log, tail = tmp_path / "log.jsonl", LogTail(tmp_path)
+    log.write_text('{"event": "old"}\n{"event": "older"}\n')
+    assert len(tail.lines(0)) == 2
+    log.write_text('{"event": "a longer one"}\n{"event": "and another that is long"}\n')  # with the same inode
+    assert [event["event"] for event in tail.lines(0)] == ["a longer one", "and another that is long"]
+
+
+def test_a_run_whose_name_is_not_utf8_is_listed_shown_and_downloaded(shelf: Shelf) -> None:
+    shelf.bad().rename(shelf.root / os.fsdecode(b"bad-\xff"))
+    good_is_well(shelf)
+    assert shelf.listed()["bad-?"]["state"] == "done"
+    assert shelf.ask("bad-?").json["name"] == "bad-?"
+    answer = shelf.ask("bad-?", "/files/run.json")
+    assert answer.status == 200
+    assert "bad-%3F-run.json" in answer.headers["content-disposition"]
+    assert shelf.ask("bad-?", "/slices/0/0/0").status == 404
+    answer = shelf.client.post(f"/api/runs/{shelf.listed()['bad-?']['key']}/stop")
+    assert (answer.status, "error" in answer.json) == (409, True)
+
+
+def test_a_folder_of_runs_whose_name_is_not_utf8_is_shown(tmp_path: Path) -> None:
+    root = tmp_path / os.fsdecode(b"shelf-\xff")
+    (root / "run").mkdir(parents=True)
+    (root / "run" / "run.json").write_text("{}")
+    with PageProcess(root, PageSettings(port=0)) as page:
+        client = Client(page.link)
+        assert client.ask("/api/session").json["name"] == "shelf-?"
+        assert [run["name"] for run in client.ask("/api/runs").json] == ["run"]
+
+
+def run_everything(link: str) -> None:
+    """Have every process of a server started and asked, for the only run that it shows."""
+    client = Client(link)
+    wait_for(lambda: client.ask("/api/runs").json[0]["fault"] is None)  # the readers have started
+    path = f"/api/runs/{client.ask('/api/runs').json[0]['key']}"
+    stop = Client(link.replace(client.host, f"127.0.0.1:{client.ask('/api/session').json['stop_port']}"))
+    assert stop.post(f"{path}/stop").status == 409  # it is not printing
+    client.post(f"{path}/timelapse")
+    wait_for(lambda: client.ask(f"{path}/timelapse").json["state"] == "failed")  # there are no surfaces
+
+
+@pytest.fixture
+def gift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run that is the current folder, and has modules in it; return the file that is there once they were run."""
+    (tmp_path / "run.json").write_text('{"state": "done"}')
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    return trapped(tmp_path)
+
+
+def test_a_run_that_is_the_current_folder_runs_no_code_of_its_own(gift: Path) -> None:
+    with PageProcess(".", PageSettings(port=0)) as page:
+        run_everything(page.link)
+    assert not gift.exists()
+
+
+def test_a_run_that_is_the_current_folder_of_the_command_runs_no_code_of_its_own(gift: Path) -> None:
+    with subprocess.Popen([PROGRAM, "serve", ".", "--port", "0"], stdout=subprocess.PIPE, text=True) as serving:
+        try:
+            assert serving.stdout is not None
+            run_everything(serving.stdout.readline().split()[1])
+        finally:
+            serving.terminate()
+    assert not gift.exists()

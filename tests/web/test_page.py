@@ -247,6 +247,22 @@ def test_stop_in_mid_print_is_one_press_and_is_confirmed_by_what_is_projected(lo
     assert "RMSE, print to reference" in page.inner_text("#results-numbers")
 
 
+def test_a_confirmed_stop_stays_so_while_a_print_that_runs_has_told_nothing(
+    lone: tuple[PretendPrint, Page],
+) -> None:
+    _, page = lone
+    told = page.evaluate(
+        """async () => {
+          const { Stop } = await import("/static/js/stop.js");
+          const stop = new Stop(() => undefined, () => []);
+          Object.assign(stop, { pressedAt: performance.now(), isConfirmed: true });
+          stop.see(true, null, false);  // live, without a status yet
+          return [stop.isConfirmed, (stop.see(true, { pattern: 3, state: "printing" }, false), stop.pressedAt)];
+        }"""
+    )
+    assert told == [True, None]  # and a pattern, by an extension, makes a new Stop of it
+
+
 def _middle(page: Page, selector: str) -> tuple[float, float]:
     box = page.locator(selector).bounding_box()
     assert box is not None

@@ -302,3 +302,31 @@ def test_a_port_that_is_taken_is_named(client: Client, printing: PretendPrint) -
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such folder"):
         PageProcess(tmp_path / "nothing", PageSettings(port=0))
+
+
+class _Touch:
+    """Makes a file where it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self._path,)
+
+
+def _send_code(root: Path, settings: PageSettings, pipe: Any) -> None:
+    pipe.send(_Touch(root / "was-run"))
+
+
+def _say_nothing(root: Path, settings: PageSettings, pipe: Any) -> None:
+    pipe.close()
+
+
+@pytest.mark.parametrize("child", [_send_code, _say_nothing])
+def test_what_the_pages_process_says_is_data_and_runs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, child: Callable[..., None]
+) -> None:
+    monkeypatch.setattr("vialight.web.server._serve_beside", child)
+    with pytest.raises(InputError, match="has not started"):
+        PageProcess(tmp_path, PageSettings(port=0))
+    assert not (tmp_path / "was-run").exists()

@@ -99,10 +99,11 @@ def test_stops_own_listener_takes_nothing_else(stoppable: Stoppable) -> None:
     assert stoppable.printing.is_lit
 
 
-def test_guessing_at_stops_own_listener_is_slowed_and_the_page_may_still_stop(stoppable: Stoppable) -> None:
+def test_guessing_at_stops_own_listener_is_slowed_and_who_has_the_token_may_still_stop(stoppable: Stoppable) -> None:
     guess = {"Authorization": "Bearer guess"}
     told = [stoppable.stop.ask(stoppable.path, "POST", b"", guess).status for _ in range(11)]
     assert told == [401] * 10 + [429]
+    assert stoppable.stop.post(stoppable.path).status == 200  # a program, at the same address as who guesses
     ours = {"Origin": stoppable.client.origin, "Cookie": stoppable.client.cookie()}
     assert stoppable.stop.ask(stoppable.path, "POST", b"", ours).status == 200
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -28,6 +29,7 @@ _as_json = click.option("--json", "as_json", is_flag=True, help="Print the resul
 @click.version_option(package_name="vialight")
 def main() -> None:
     """Measure tomographic volumetric prints while they are still in the vial."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # nothing that is started imports from the current folder: it may be given
 
 
 @main.command()

@@ -13,6 +13,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+from vialight.system.processes import no_code_from_here
+
 _FROM_A_TERMINAL = [getattr(signal, name) for name in ("SIGINT", "SIGTSTP") if hasattr(signal, name)]
 """Ctrl-C and Ctrl-Z."""
 
@@ -35,17 +37,19 @@ def deaf_to_interrupts() -> Iterator[None]:
     """Start processes within that do not hear Ctrl-C or Ctrl-Z even before their own first line has run.
 
     Without, one that is still importing its modules dies of it.  Only the thread that starts them is deaf meanwhile;
-    where the system has no such thing, they are as before.
+    where the system has no such thing, they are as before.  They import nothing from the current folder either, as
+    `no_code_from_here` says.
     """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # multiprocessing's own, which lets the signal through again when it starts it
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _FROM_A_TERMINAL)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with no_code_from_here():
+        if not hasattr(signal, "pthread_sigmask"):
+            yield
+            return
+        resource_tracker.ensure_running()  # multiprocessing's own, which lets the signal through again when started
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _FROM_A_TERMINAL)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class StopAsked:

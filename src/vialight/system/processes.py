@@ -1,9 +1,12 @@
-"""Processes of this machine: told apart from later ones of the same number, and asked how they do."""
+"""Processes of this machine: told apart from later ones of the same number, asked how they do, and started safely."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -13,6 +16,8 @@ ProcessState = Literal["runs", "stopped", "gone"]
 
 _STOPPED = {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP}
 _GONE = {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
+_SAFE_PATH = "PYTHONSAFEPATH"
+_starting = threading.RLock()
 _FIELDS_BEFORE_START = 19
 """Of /proc/PID/stat, after the name in parentheses."""
 
@@ -92,3 +97,28 @@ def _boot() -> str:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:
         return f"{psutil.boot_time():.0f}"
+
+
+@contextlib.contextmanager
+def no_code_from_here() -> Iterator[None]:
+    """Start processes of Python within that import nothing from the current folder: it may be one that was given.
+
+    Python puts that folder before its own modules where it is started with ``-c``, as multiprocessing does, or ``-m``.
+
+    Examples
+    --------
+    >>> import subprocess, sys
+    >>> with no_code_from_here():
+    ...     subprocess.check_output([sys.executable, "-c", "import sys; print('' in sys.path)"]).strip()
+    b'False'
+    """
+    with _starting:  # threads that start some at the same time would undo each other's environment
+        before = os.environ.get(_SAFE_PATH)
+        os.environ[_SAFE_PATH] = "1"
+        try:
+            yield
+        finally:
+            if before is None:
+                os.environ.pop(_SAFE_PATH, None)
+            else:
+                os.environ[_SAFE_PATH] = before

@@ -201,13 +201,14 @@ class Access:
         is_own = "origin" in asked.headers or (asked.method == "GET" and not asked.is_socket)
         if is_own and self.has_cookie(asked):
             return  # also while others at this address guess: who may stop the print must not be locked out
+        bearer = asked.header("authorization")
+        is_bearer = bearer.lower().startswith("bearer ")
+        if is_bearer and self.is_token(bearer[7:].strip()):
+            return  # as little: 256 bits are not guessed, however often it is tried
         wait_s = self.limit.wait_s(asked.client)
         if wait_s > 0:
             raise Refusal(429, f"too many wrong tokens; wait {wait_s:.0f} s", wait_s)
-        bearer = asked.header("authorization")
-        if bearer.lower().startswith("bearer "):
-            if self.is_token(bearer[7:].strip()):
-                return
+        if is_bearer:
             self.limit.fail(asked.client)
             raise Refusal(401, "wrong token")
         if is_own and _cookie(asked, self.cookie_name) is not None:

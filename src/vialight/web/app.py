@@ -28,7 +28,7 @@ from vialight.web.catalogue import DOWNLOADS, Catalogue, unreadable, with_state
 from vialight.web.gate import Gate, let_in
 from vialight.web.orders import OrderDesk, check_order
 from vialight.web.readers import CannotBeReadError, Readers, Told
-from vialight.web.runs import CannotTellError, Run, find_print, own_file
+from vialight.web.runs import CannotTellError, Run, find_print, own_file, printable
 from vialight.web.slices import LiveSlices
 from vialight.web.sockets import MOST_SOCKETS, refuse_socket, serve_socket
 from vialight.web.timelapses import TimeLapses
@@ -63,6 +63,15 @@ class _Number(Convertor[int]):
 
 
 register_url_convertor("number", _Number())
+
+
+class _JsonResponse(JSONResponse):
+    """JSON that can be sent whatever names there are: of one that is not UTF-8, as much as can be shown."""
+
+    def render(self, content: Any) -> bytes:
+        return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(
+            "utf-8", "replace"
+        )
 
 
 def static_files() -> dict[str, tuple[bytes, str]]:
@@ -189,22 +198,15 @@ class PageServer:
 
     async def ask_session(self, request: Request) -> Response:
         """Say that the page is let in: otherwise the gate has answered."""
-        told = {"name": self.catalogue.root.name, "single": self.catalogue.is_single}
-        return JSONResponse(told | {"stop_port": self.access.stop_port})
+        told = {"name": printable(self.catalogue.root.name), "single": self.catalogue.is_single}
+        return _JsonResponse(told | {"stop_port": self.access.stop_port})
 
     async def open_session(self, request: Request) -> Response:
         """Take the token and give a cookie."""
-        address = request.client.host if request.client else ""
-        wait_s = self.access.limit.wait_s(address)
-        if wait_s > 0:
-            return _error(429, f"too many wrong tokens; wait {wait_s:.0f} s", {"Retry-After": str(int(wait_s) + 1)})
         given = await _json_of(request)
         token = given.get("token") if isinstance(given, dict) else None
-        if not isinstance(token, str):
-            return _error(400, 'no token; accepted: {"token": "..."}')
-        if not self.access.is_token(token):
-            self.access.limit.fail(address)
-            return _error(401, "wrong token")
+        if not isinstance(token, str) or not self.access.is_token(token):
+            return self._refuse_token(request.client.host if request.client else "", is_given=isinstance(token, str))
         let_in(request.scope)
         response = Response(status_code=204)
         response.set_cookie(
@@ -212,6 +214,16 @@ class PageServer:
             max_age=30 * 86400,
         )  # fmt: skip
         return response
+
+    def _refuse_token(self, address: str, *, is_given: bool) -> Response:
+        """Answer a token that is wrong, or none: who has tried too many has to wait, but never the right one."""
+        wait_s = self.access.limit.wait_s(address)
+        if wait_s > 0:
+            return _error(429, f"too many wrong tokens; wait {wait_s:.0f} s", {"Retry-After": str(int(wait_s) + 1)})
+        if not is_given:
+            return _error(400, 'no token; accepted: {"token": "..."}')
+        self.access.limit.fail(address)
+        return _error(401, "wrong token")
 
     async def list_runs(self, request: Request) -> Response:
         """List the runs, newest first."""
@@ -223,7 +235,7 @@ class PageServer:
             task.result() if (task := asked[run.key]).done() else unreadable(run, "is still being read")
             for run in runs
         ]  # fmt: skip
-        return JSONResponse(told)
+        return _JsonResponse(told)
 
     async def _overview(self, run: Run) -> dict[str, Any]:
         try:
@@ -242,7 +254,7 @@ class PageServer:
     async def show_run(self, request: Request) -> Response:
         """Tell what a run is."""
         run = self._run(request)
-        return JSONResponse(await self._with_state(run, (await self.readers.ask(run, "summary")).value))
+        return _JsonResponse(await self._with_state(run, (await self.readers.ask(run, "summary")).value))
 
     async def show_curves(self, request: Request) -> Response:
         """Tell the numbers of a run's moments."""
@@ -320,11 +332,11 @@ class PageServer:
 
     async def ask_timelapse(self, request: Request) -> Response:
         """Tell how far the time-lapse is."""
-        return JSONResponse(self.timelapses.state(self._run(request)))
+        return _JsonResponse(self.timelapses.state(self._run(request)))
 
     async def make_timelapse(self, request: Request) -> Response:
         """Begin to draw the time-lapse."""
-        return JSONResponse(self.timelapses.begin(self._run(request)))
+        return _JsonResponse(self.timelapses.begin(self._run(request)))
 
     async def give_timelapse(self, request: Request) -> Response:
         """Give the finished time-lapse."""
@@ -337,11 +349,11 @@ class PageServer:
     async def take_order(self, request: Request) -> Response:
         """Pass an order on to the print."""
         order = check_order(await _json_of(request))
-        return JSONResponse(await self.desk.obey(self._run(request), order, _who(request)))
+        return _JsonResponse(await self.desk.obey(self._run(request), order, _who(request)))
 
     async def take_stop(self, request: Request) -> Response:
         """Stop the print; needs no body, so that any program can do it."""
-        return JSONResponse(await self.desk.obey(self._run(request), {"do": "stop"}, _who(request)))
+        return _JsonResponse(await self.desk.obey(self._run(request), {"do": "stop"}, _who(request)))
 
     async def open_socket(self, socket: WebSocket) -> None:
         """Feed a page."""
@@ -375,7 +387,7 @@ async def _json_of(request: Request) -> Any:
 
 
 def _error(status: int, why: str, headers: dict[str, str] | None = None) -> Response:
-    return JSONResponse({"error": why}, status, headers)
+    return _JsonResponse({"error": why}, status, headers)
 
 
 async def _tell_input_error(request: Request, error: Exception) -> Response:

@@ -24,7 +24,7 @@ from vialight.web.encoding import images_of, pack, pack_surface
 from vialight.web.live_pictures import WIDEST, LivePictures
 from vialight.web.recorded import pattern_shown, recorded_image
 from vialight.web.reference import ReferenceSums, ViewGrid, reference_sums
-from vialight.web.runs import Run, own_file
+from vialight.web.runs import Mark, Run, mark_of, own_file
 from vialight.web.slices import FinalSlices
 
 _GHOST_FACES = 60_000
@@ -50,18 +50,18 @@ class RunData:
         self.run = run
         self.slices = FinalSlices(run.folder)
         self._pictures = LivePictures()
-        self._reference: tuple[int, Mesh] | None = None
-        self._sums: tuple[int, ViewGrid, ReferenceSums] | None = None
-        self._numbers: dict[int, HistoryNumbers] = {}
-        self._patterns: tuple[Patterns, int] | None = None
-        self._has_no_plan = False
+        # With what their files are known again by: a run may be removed, and printed anew under the same name.
+        self._reference: tuple[Mark | None, Mesh] | None = None
+        self._sums: tuple[Mark | None, ViewGrid, ReferenceSums] | None = None
+        self._numbers: dict[int, tuple[Mark | None, HistoryNumbers]] = {}
+        self._patterns: tuple[Mark | None, tuple[Patterns, int] | None] | None = None
 
     def reference(self) -> Mesh | None:
         """Return the mesh that is meant; None where the run does not hold it."""
         path = own_file(self.run.folder, "reference.stl", most_bytes=_MOST_SURFACE_BYTES)
         if path is None:
             return None
-        changed = path.stat().st_mtime_ns
+        changed = mark_of(path)
         if self._reference is None or self._reference[0] != changed:
             self._reference = None
             with contextlib.suppress(InputError):
@@ -97,8 +97,7 @@ class RunData:
 
     def _holding(self, number: int) -> Path:
         """Return the run's folder, where the moment of a number in it is its own."""
-        name = f"history/{number:06d}.npz"
-        return self._with_own(name, _MOST_ARCHIVE_BYTES, "there is no such moment")
+        return self._with_own(_moment_file(number), _MOST_ARCHIVE_BYTES, "there is no such moment")
 
     def _with_own(self, name: str, most_bytes: int, fault: str) -> Path:
         if own_file(self.run.folder, name, most_bytes=most_bytes) is None:
@@ -110,16 +109,17 @@ class RunData:
         rows = []
         began = time.monotonic()
         for number in history_of(self.run.folder)[start : start + _ROWS_AT_ONCE]:
+            mark = mark_of(self.run.folder / _moment_file(number))
             known = self._numbers.get(number)
-            if known is None:
+            if known is None or known[0] != mark:
                 if time.monotonic() - began > _ROWS_WITHIN_S:
                     break
                 try:
-                    known = read_history_numbers(self._holding(number), number)
+                    known = mark, read_history_numbers(self._holding(number), number)
                 except InputError:  # of one that is damaged nothing is shown, but its place is kept
-                    known = HistoryNumbers(number + 1, *(math.nan,) * 8)
+                    known = mark, HistoryNumbers(number + 1, *(math.nan,) * 8)
                 self._numbers[number] = known
-            rows.append([number, *(_or_none(value) for value in astuple(known))])
+            rows.append([number, *(_or_none(value) for value in astuple(known[1]))])
         columns = ["number", *HistoryNumbers.__dataclass_fields__]
         return {"start": start, "columns": columns, "rows": rows, "surfaces": surfaces_of(self.run.folder)}
 
@@ -172,22 +172,27 @@ class RunData:
         return pack(header | angle, {"levels": patterns.levels[index]})
 
     def _load_patterns(self) -> tuple[Patterns, int] | None:
-        if self._patterns is None and not self._has_no_plan:
-            path = own_file(self.run.folder, "plan.h5")
-            try:
-                patterns = None if path is None else read_plan(path).patterns
-            except InputError:
-                patterns = None
-            if patterns is None:
-                self._has_no_plan = True
-                return None
-            step = -(-patterns.levels.shape[2] // WIDEST)
-            levels = np.ascontiguousarray(patterns.levels[:, ::step, ::step])
-            self._patterns = (
-                Patterns(levels, patterns.angles_rad, patterns.first_row, patterns.first_column, 1.0),
-                step,
-            )
-        return self._patterns
+        path = own_file(self.run.folder, "plan.h5")
+        mark = mark_of(path)
+        if self._patterns is None or self._patterns[0] != mark:
+            self._patterns = None  # before others are in memory
+            self._patterns = mark, None if path is None else _thinned_patterns(path)
+        return self._patterns[1]
+
+
+def _moment_file(number: int) -> str:
+    return f"history/{number:06d}.npz"
+
+
+def _thinned_patterns(path: Path) -> tuple[Patterns, int] | None:
+    """Return a plan's patterns with every so many pixels, and how many; None where they cannot be read."""
+    try:
+        patterns = read_plan(path).patterns
+    except InputError:
+        return None
+    step = -(-patterns.levels.shape[2] // WIDEST)
+    levels = np.ascontiguousarray(patterns.levels[:, ::step, ::step])
+    return Patterns(levels, patterns.angles_rad, patterns.first_row, patterns.first_column, 1.0), step
 
 
 def _or_none(value: float) -> float | None:

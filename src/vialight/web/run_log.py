@@ -10,12 +10,15 @@ import re
 from pathlib import Path
 from typing import Any
 
+from vialight.core.errors import InputError
+from vialight.store.results import parse_json
 from vialight.web.runs import Run, own_file
 
 _LOG = "log.jsonl"
 _MOST_BYTES = 64_000_000
 _MOST_LINES = 200_000
 _PART_BYTES = 1 << 20
+_HEAD_BYTES = 256
 _LINES_AT_ONCE = 1000
 _LONGEST_LINE_BYTES = 65_536
 _MOST_TOLD_BYTES = 2_000_000
@@ -36,7 +39,7 @@ class LogTail:
         self._forget()
 
     def _forget(self) -> None:
-        self._number, self._read, self._starts = 0, 0, [0]
+        self._number, self._head, self._read, self._starts = 0, b"", 0, [0]
 
     def count(self) -> int:
         """Return how many whole lines there are."""
@@ -46,9 +49,12 @@ class LogTail:
             return 0
         with path.open("rb") as file:
             about = os.fstat(file.fileno())
-            if about.st_ino != self._number or about.st_size < self._read:
+            head = file.read(_HEAD_BYTES)
+            # A log that was begun anew may get the number of the one that was removed.
+            if about.st_ino != self._number or about.st_size < self._read or not head.startswith(self._head):
                 self._forget()
                 self._number = about.st_ino
+            self._head = head
             file.seek(self._read)
             while self._read < _MOST_BYTES and len(self._starts) <= _MOST_LINES:
                 part = file.read(_PART_BYTES)
@@ -86,8 +92,9 @@ def log_lines(run: Run, start: int) -> list[dict[str, Any]]:
 
 
 def _event(line: bytes) -> dict[str, Any]:
-    with contextlib.suppress(ValueError, RecursionError):
-        event = json.loads(line)
-        if isinstance(event, dict):
-            return event
+    """Return what a line says; no number (NaN), which Python's own writer writes and JSON has not, as nothing."""
+    with contextlib.suppress(InputError):
+        return parse_json(line, _LOG)
+    with contextlib.suppress(InputError, ValueError, RecursionError):
+        return parse_json(json.dumps(json.loads(line, parse_constant=lambda name: None)), _LOG)
     return dict(_NO_EVENT)

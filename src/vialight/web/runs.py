@@ -24,6 +24,9 @@ _MOST_NAMES = 100_000
 _NOT_THERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
 
 
+Mark = tuple[int, int]
+
+
 class CannotTellError(InputError):
     """Whether a print runs, or does what it is told, cannot be told: not to be taken for a no."""
 
@@ -35,13 +38,26 @@ class Run:
     key: str
     """What addresses call it: of letters and digits."""
     name: str
+    """What people are shown: `printable`, so that no path is made of it."""
     folder: Path
 
     @classmethod
     def of(cls, folder: Path) -> Run:
         """Return the run in a folder."""
         digest = hashlib.sha256(folder.name.encode("utf-8", "surrogateescape")).hexdigest()
-        return cls(digest[:12], folder.name, folder)
+        return cls(digest[:12], printable(folder.name), folder)
+
+
+def printable(name: str) -> str:
+    r"""Return a name as it can be shown and sent: what in it is not UTF-8 as question marks.
+
+    Examples
+    --------
+    >>> import os
+    >>> printable(os.fsdecode(b"ring-\xff"))
+    'ring-?'
+    """
+    return name.encode("utf-8", "replace").decode()
 
 
 def is_run(folder: Path) -> bool:
@@ -111,6 +127,12 @@ def own_file(folder: Path, name: str, *, most_bytes: int | None = None) -> Path 
         return None
     is_small = most_bytes is None or about.st_size <= most_bytes
     return path if stat.S_ISREG(about.st_mode) and is_small else None
+
+
+def mark_of(path: Path | None) -> Mark | None:
+    """Return what a file's content is known again by: another one has another, also by the same name; None: no file."""
+    about = None if path is None else _about(path)
+    return None if about is None else (about.st_ino, about.st_mtime_ns)
 
 
 def own_folder(folder: Path, name: str) -> Path | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import json
 import logging
 import multiprocessing
 import os
@@ -133,7 +134,7 @@ class PageProcess:
             self._process.start()
         far.close()
         with near:
-            answer = near.recv() if near.poll(_START_TIMEOUT_S) else None
+            answer = _told(near) if near.poll(_START_TIMEOUT_S) else None
         if answer is None or "error" in answer:
             self.close()
             raise InputError(*(answer or {"error": ("page", "its server has not started")})["error"])
@@ -289,15 +290,24 @@ def _bind(host: str, port: int) -> socket.socket:
     return listener
 
 
+def _told(pipe: Connection[Any, Any]) -> dict[str, Any] | None:
+    """Return what the page's process says, which is data and runs nothing; None where it says nothing, or no JSON."""
+    try:
+        told: dict[str, Any] = json.loads(pipe.recv_bytes())
+    except (EOFError, ValueError):
+        return None
+    return told
+
+
 def _serve_beside(root: Path, settings: PageSettings, pipe: Connection[Any, Any]) -> None:
     leave_interrupts_to_the_print()
     try:
         prepared = _prepare(root, settings, is_nice=True)
     except InputError as error:
         where, _, what = str(error).partition(": ")
-        pipe.send({"error": (where, what)})
+        pipe.send_bytes(json.dumps({"error": (where, what)}).encode())
         return
-    pipe.send({"link": prepared.link, "stop_port": prepared.stop_port})
+    pipe.send_bytes(json.dumps({"link": prepared.link, "stop_port": prepared.stop_port}).encode())
     pipe.close()
     server = prepared.server
     with _ended_by_sigterm(server), contextlib.closing(prepared):

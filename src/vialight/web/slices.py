@@ -15,7 +15,7 @@ from vialight.printing.live.sharing import SharedVolume
 from vialight.printing.live_link import LiveLink
 from vialight.store import read_volume
 from vialight.web.encoding import Levels, pack, to_levels
-from vialight.web.runs import own_folder
+from vialight.web.runs import Mark, mark_of, own_folder
 
 _FINAL = "volume.zarr"
 _NOT_YET = "wait for the first turn of frames"
@@ -77,7 +77,7 @@ class FinalSlices:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._held: tuple[int, _Held] | None = None
+        self._held: tuple[Mark, _Held] | None = None
 
     def at(self, x: int, y: int, z: int) -> bytes:
         """Return three planes, as `LiveSlices.at` does.
@@ -88,10 +88,7 @@ class FinalSlices:
             There is no volume.
         """
         path = own_folder(self._folder, _FINAL)
-        try:
-            changed = None if path is None else (path / "zarr.json").stat().st_mtime_ns
-        except OSError:
-            changed = None
+        changed = None if path is None else mark_of(path / "zarr.json")
         if path is None or changed is None:
             raise InputError(self._folder.name, f"has no {_FINAL}", remedy="reconstruct it")
         if self._held is None or self._held[0] != changed:

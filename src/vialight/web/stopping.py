@@ -241,7 +241,7 @@ class StopProcess:
     def _begin(self) -> subprocess.Popen[bytes]:
         number = self._listener.fileno()
         process = subprocess.Popen(
-            [sys.executable, "-m", __name__, str(number)], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+            [sys.executable, "-P", "-m", __name__, str(number)], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
             pass_fds=[number],
         )  # fmt: skip
         assert process.stdin is not None

@@ -13,7 +13,7 @@ from vialight.core.errors import InputError
 from vialight.report import picture_of
 from vialight.store import read_history, read_surface
 from vialight.web.catalogue import history_of, surfaces_of
-from vialight.web.runs import Run, own_file
+from vialight.web.runs import Mark, Run, mark_of, own_file
 
 _PIXELS = 160
 _MOST_BYTES = 500_000_000
@@ -25,16 +25,17 @@ def thumbnail(run: Run, is_live: bool) -> bytes | None:
     A print that runs is shown by its projection, which costs nothing.
     """
     surfaces, moments = surfaces_of(run.folder), history_of(run.folder)
-    if surfaces and not (moments and is_live):
-        name = f"surfaces/{surfaces[-1]:06d}.ply"
-        return _drawn(run.folder, True, surfaces[-1]) if own_file(run.folder, name, most_bytes=_MOST_BYTES) else None
-    if not moments or own_file(run.folder, f"history/{moments[-1]:06d}.npz", most_bytes=_MOST_BYTES) is None:
+    is_surface = bool(surfaces and not (moments and is_live))
+    if not (surfaces or moments):
         return None
-    return _drawn(run.folder, False, moments[-1])
+    number = surfaces[-1] if is_surface else moments[-1]
+    name = f"surfaces/{number:06d}.ply" if is_surface else f"history/{number:06d}.npz"
+    path = own_file(run.folder, name, most_bytes=_MOST_BYTES)
+    return None if path is None else _drawn(run.folder, is_surface, number, mark_of(path))
 
 
 @lru_cache(maxsize=50)
-def _drawn(folder: Path, is_surface: bool, number: int) -> bytes | None:
+def _drawn(folder: Path, is_surface: bool, number: int, mark: Mark | None) -> bytes | None:
     from PIL import Image
 
     try:

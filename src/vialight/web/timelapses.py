@@ -54,7 +54,7 @@ class TimeLapses:
             self._folder = scratch_folder()
         self._run = run
         self._states[run.key] = {"state": "drawing", "done": 0, "total": None}
-        command = [sys.executable, "-m", __name__, str(run.folder), str(self._path(run))]
+        command = [sys.executable, "-P", "-m", __name__, str(run.folder), str(self._path(run))]
         # Not multiprocessing: the page's server is a child itself, and such may have none.
         self._process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True

@@ -21,7 +21,7 @@ def token_for(root: Path) -> str:
     >>> len(token_for(Path("no such run"))) >= 43
     True
     """
-    name = hashlib.sha256(str(Path(root).resolve()).encode()).hexdigest()[:32]
+    name = hashlib.sha256(os.fsencode(Path(root).resolve())).hexdigest()[:32]
     path = _state_folder() / name
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)

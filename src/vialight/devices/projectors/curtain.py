@@ -36,7 +36,15 @@ def draw_curtain(monitor: int | str, size: tuple[int, int]) -> int:
     if (holder := _holder(path)) is not None:
         return holder
     path.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "vialight.devices.projectors.curtain", str(path), repr(monitor), *map(str, size)]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "vialight.devices.projectors.curtain",
+        str(path),
+        repr(monitor),
+        *map(str, size),
+    ]
     quiet = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_RDWR, 0) for number in (0, 1, 2)]
     os.posix_spawn(command[0], command, os.environ, file_actions=quiet, setsid=True)
     deadline = time.monotonic() + _START_TIMEOUT_S

@@ -88,6 +88,6 @@ export class Stop {
     }
     if (this.pressedAt === null) this.button.textContent = isLive ? "Stop" : "Not printing";
     if (!isLive && this.isConfirmed) this.button.textContent = "Stopped";
-    if (this.isConfirmed && isLive && status.pattern !== null) this.reset(); // printing again, by an extension
+    if (this.isConfirmed && isLive && status?.pattern != null) this.reset(); // printing again, by an extension
   }
 }
