@@ -6,6 +6,7 @@ import io
 import json
 import os
 import shutil
+import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -39,7 +40,7 @@ from vialight.store import (
     write_volume,
 )
 from vialight.store.hdf5 import dataset_names
-from vialight.store.rig_files import load_rig
+from vialight.store.rig_files import load_rig, parse_toml
 from vialight.system import file_in, need_memory
 
 HUGE = 2**40
@@ -91,13 +92,30 @@ def test_json_with_a_mark_of_the_byte_order_is_read(tmp_path: Path) -> None:
         "a = '" + "x" * 300_000 + "'",
         "resin.name = " + '"""' + '\\"""' * 50_000,
         "speed = '" + "x" * 100_000 + "'",
+        'a = ["""a"""", {b' + ".a" * 100_000 + ' = "1"}]',
+        "a = ['''a'''', {b" + ".a" * 100_000 + " = '1'}]",
     ],
-    ids=range(12),
+    ids=range(14),
 )
 def test_toml_that_takes_for_ever_is_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(content)
     assert refused(load_rig, path).startswith(str(path))
+
+
+@pytest.mark.parametrize("repeated", ['\\"""', '\\"', "\\'''", '"\n', "'\n", "a"])
+@pytest.mark.parametrize("first", ["", '"', '"""', "'''", "'"])
+def test_strings_without_an_end_are_told_at_once(first: str, repeated: str) -> None:
+    content = "a = " + first + repeated * (250_000 // len(repeated))
+    began = time.monotonic()
+    with pytest.raises(InputError, match="is not TOML"):
+        parse_toml(content, "rig.toml")
+    assert time.monotonic() - began < 1.0
+
+
+@pytest.mark.parametrize("text", ["a", 'a"', 'a""', '\\"""a', '""a', ""])
+def test_strings_of_many_lines_may_end_with_quotes(text: str) -> None:
+    assert parse_toml(f'a = """{text}"""\nb.c = "[[["', "rig.toml")["a"] == text.replace("\\", "")
 
 
 def test_a_rig_saved_by_an_editor_that_marks_the_byte_order_is_read(tmp_path: Path) -> None:
