@@ -202,6 +202,18 @@ def test_arrays_that_state_what_is_not_there_are_refused(tmp_path: Path, content
     assert "array.npz" in refused(read_stack, tmp_path / "array.npz")
 
 
+def test_a_header_that_unpacks_to_much_more_than_an_array_has_is_not_read(tmp_path: Path) -> None:
+    size = 300_000_000
+    with (
+        zipfile.ZipFile(tmp_path / "array.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("stack.npy", "w") as member,
+    ):
+        member.write(b"\x93NUMPY\x02\x00" + size.to_bytes(4, "little"))
+        for _ in range(size // 1_000_000):
+            member.write(b" " * 1_000_000)
+    assert "NumPy's format (2, 0)" in refused(read_stack, tmp_path / "array.npz")
+
+
 def moment(**changes: Any) -> dict[str, Any]:
     names = ("frames", "time_s", "lit_s", "cured_volume_mm3", "rmse_mm", "reverse_rmse_mm", "iou", "stop_s", "sigma_s")
     images = {f"{kind}_{plane}": np.zeros((3, 4)) for kind in ("density", "cured") for plane in ("xy", "xz", "yz")}
