@@ -357,6 +357,20 @@ def test_pages_that_are_only_stated_are_refused(tmp_path: Path) -> None:
     assert "states 10 images" in refused(read_stack, tmp_path / "folder")
 
 
+def test_a_page_that_is_larger_than_the_first_is_not_decoded(tmp_path: Path) -> None:
+    large = Image.new("F", (5000, 5000))
+    small = Image.new("F", (4, 4))
+    small.save(tmp_path / "pages.tif", save_all=True, append_images=[large], compression="tiff_adobe_deflate")
+    told = refused(read_stack, tmp_path / "pages.tif")
+    assert "page 0 is (4, 4), page 1 is (5000, 5000)" in told
+
+
+def test_pages_are_counted_with_the_bytes_of_their_kind(tmp_path: Path) -> None:
+    page = Image.new("F", (4000, 4000))
+    page.save(tmp_path / "pages.tif", save_all=True, append_images=[page] * 9, compression="tiff_adobe_deflate")
+    assert "states 10 images, 0.64 GB" in refused(read_stack, tmp_path / "pages.tif")
+
+
 GRID = Grid((20, 6, 6), 0.1)
 
 
