@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from hostile import refused
+from vialight.cli import main
+from vialight.commands.calibrate import check_calibration
 from vialight.commands.kinetics import kinetics_of
 from vialight.commands.measure import measure_surface
 from vialight.control.looking_back import Place
@@ -57,6 +60,41 @@ def test_kinetics_reads_nothing_that_leads_out_of_a_run(run: Path, tmp_path: Pat
     (run / name).unlink(missing_ok=True)
     (run / name).symlink_to(tmp_path / "private")
     assert "leads out of its folder" in refused(look, run)
+
+
+@pytest.mark.parametrize("name", ["rig.toml", "frames.h5"])
+@pytest.mark.parametrize("command", ["reconstruct", "calibrate check"])
+def test_no_command_that_takes_a_run_reads_what_leads_out_of_it(
+    run: Path, tmp_path: Path, command: str, name: str
+) -> None:
+    (run / name).rename(tmp_path / "private")
+    (run / name).symlink_to(tmp_path / "private")
+    told = CliRunner().invoke(main, [*command.split(), str(run)])
+    assert told.exit_code == 2
+    assert "leads out of its folder" in told.stderr
+
+
+def test_a_page_about_a_run_is_not_written_elsewhere(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "private.html").write_text("mine")
+    (run / "check.html").symlink_to(tmp_path / "private.html")
+    with pytest.raises(InputError, match="leads out of its folder"):
+        check_calibration(run)
+
+
+def test_kinetics_writes_nothing_that_leads_out_of_a_run(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "private").mkdir()
+    (run / "kinetics").symlink_to(tmp_path / "private")
+    assert "kinetics: leads out of its folder" in refused(look, run)
+
+
+@pytest.mark.parametrize("name", ["plan", "reference"])
+def test_kinetics_asks_for_nothing_of_a_run_that_is_given_from_elsewhere(run: Path, tmp_path: Path, name: str) -> None:
+    there = run / {"plan": "plan.h5", "reference": "reference.stl"}[name]
+    there.unlink(missing_ok=True)
+    there.symlink_to(tmp_path / "private")
+    given: dict[str, Any] = {name: tmp_path / "absent"}
+    with pytest.raises(InputError, match="absent"):
+        kinetics_of(run, Place((0.0, 0.0, 0.0)), **given)
 
 
 @pytest.mark.parametrize("name", ["rig.toml", "frames.h5", "plan.h5", "reference.stl", "rehearsal.json"])

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import shutil
+import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -39,7 +40,7 @@ from vialight.store import (
     write_volume,
 )
 from vialight.store.hdf5 import dataset_names
-from vialight.store.rig_files import load_rig
+from vialight.store.rig_files import load_rig, parse_toml
 from vialight.system import file_in, need_memory
 
 HUGE = 2**40
@@ -91,13 +92,30 @@ def test_json_with_a_mark_of_the_byte_order_is_read(tmp_path: Path) -> None:
         "a = '" + "x" * 300_000 + "'",
         "resin.name = " + '"""' + '\\"""' * 50_000,
         "speed = '" + "x" * 100_000 + "'",
+        'a = ["""a"""", {b' + ".a" * 100_000 + ' = "1"}]',
+        "a = ['''a'''', {b" + ".a" * 100_000 + " = '1'}]",
     ],
-    ids=range(12),
+    ids=range(14),
 )
 def test_toml_that_takes_for_ever_is_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(content)
     assert refused(load_rig, path).startswith(str(path))
+
+
+@pytest.mark.parametrize("repeated", ['\\"""', '\\"', "\\'''", '"\n', "'\n", "a"])
+@pytest.mark.parametrize("first", ["", '"', '"""', "'''", "'"])
+def test_strings_without_an_end_are_told_at_once(first: str, repeated: str) -> None:
+    content = "a = " + first + repeated * (250_000 // len(repeated))
+    began = time.monotonic()
+    with pytest.raises(InputError, match="is not TOML"):
+        parse_toml(content, "rig.toml")
+    assert time.monotonic() - began < 1.0
+
+
+@pytest.mark.parametrize("text", ["a", 'a"', 'a""', '\\"""a', '""a', ""])
+def test_strings_of_many_lines_may_end_with_quotes(text: str) -> None:
+    assert parse_toml(f'a = """{text}"""\nb.c = "[[["', "rig.toml")["a"] == text.replace("\\", "")
 
 
 def test_a_rig_saved_by_an_editor_that_marks_the_byte_order_is_read(tmp_path: Path) -> None:
@@ -182,6 +200,18 @@ def test_arrays_that_state_what_is_not_there_are_refused(tmp_path: Path, content
     with zipfile.ZipFile(tmp_path / "array.npz", "w") as archive:
         archive.writestr("stack.npy", content)
     assert "array.npz" in refused(read_stack, tmp_path / "array.npz")
+
+
+def test_a_header_that_unpacks_to_much_more_than_an_array_has_is_not_read(tmp_path: Path) -> None:
+    size = 300_000_000
+    with (
+        zipfile.ZipFile(tmp_path / "array.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("stack.npy", "w") as member,
+    ):
+        member.write(b"\x93NUMPY\x02\x00" + size.to_bytes(4, "little"))
+        for _ in range(size // 1_000_000):
+            member.write(b" " * 1_000_000)
+    assert "NumPy's format (2, 0)" in refused(read_stack, tmp_path / "array.npz")
 
 
 def moment(**changes: Any) -> dict[str, Any]:
@@ -325,6 +355,20 @@ def test_pages_that_are_only_stated_are_refused(tmp_path: Path) -> None:
     for number in range(1, 10):
         shutil.copy(tmp_path / "folder" / "0.png", tmp_path / "folder" / f"{number}.png")
     assert "states 10 images" in refused(read_stack, tmp_path / "folder")
+
+
+def test_a_page_that_is_larger_than_the_first_is_not_decoded(tmp_path: Path) -> None:
+    large = Image.new("F", (5000, 5000))
+    small = Image.new("F", (4, 4))
+    small.save(tmp_path / "pages.tif", save_all=True, append_images=[large], compression="tiff_adobe_deflate")
+    told = refused(read_stack, tmp_path / "pages.tif")
+    assert "page 0 is (4, 4), page 1 is (5000, 5000)" in told
+
+
+def test_pages_are_counted_with_the_bytes_of_their_kind(tmp_path: Path) -> None:
+    page = Image.new("F", (4000, 4000))
+    page.save(tmp_path / "pages.tif", save_all=True, append_images=[page] * 9, compression="tiff_adobe_deflate")
+    assert "states 10 images, 0.64 GB" in refused(read_stack, tmp_path / "pages.tif")
 
 
 GRID = Grid((20, 6, 6), 0.1)

@@ -177,6 +177,35 @@ def test_what_does_not_fit_beside_a_recording_is_left_aside_or_refused_in_one_li
     assert not told or "does not fit its recording" in told
 
 
+def test_places_without_bytes_or_without_end_do_not_hold_up_a_reader(tmp_path: Path) -> None:
+    path = tmp_path / "frames.h5"
+    with FrameWriter(path, SHAPE) as writer:
+        append(writer, 3)
+    content = path.read_bytes()
+    for places in ([[0, 48], *[[48, 0]] * 1_000_000], [[0, 48], *[[48 + k, 1] for k in range(1_000_000)]]):
+        length = sum(length for _, length in places)
+        header = {"boot": "x", "frames": 3, "size": len(content), "places": places}
+        pieces = content[:48].ljust(length, b"\0")
+        durable.tables_beside(path).write_bytes(json.dumps(header).encode() + b"\n" + pieces)
+        with pytest.raises(InputError, match="does not fit its recording"):
+            durable.open_torn(path)
+
+
+def test_a_recording_of_many_places_is_read_as_quickly_as_one_of_few(tmp_path: Path) -> None:
+    path, size, count = tmp_path / "frames.h5", 1_000_000, 60_000
+    path.write_bytes(bytes(size))
+    places = [(0, 48), *[(100 + 4 * k, 2) for k in range(count)]]
+    patched = durable._Patched(path, size, places, b"\1" * (48 + 2 * count))
+    began = time.monotonic()
+    for k in range(0, count, 50):
+        patched.seek(99 + 4 * k)
+        assert patched.read(6) == b"\0\1\1\0\0\1"
+    assert time.monotonic() - began < 2.0
+    patched.seek(0)
+    assert patched.read(150)[48:106] == bytes(52) + b"\1\1\0\0\1\1"
+    patched.close()
+
+
 def test_a_disk_that_does_not_sync_holds_up_no_frame_and_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

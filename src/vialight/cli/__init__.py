@@ -67,14 +67,15 @@ def reconstruct(
       vialight reconstruct frames.h5 --rig rig.toml --threshold 100 --out print
       vialight reconstruct run
     """
-    if frames.is_dir():
-        rig, out, frames = rig or frames / "rig.toml", out or frames, frames / "frames.h5"
-    if rig is None or out is None:
-        raise click.UsageError("give --rig and --out, or a run's folder")
     with faults_told():
         from vialight.commands import reconstruct_recording
+        from vialight.system import file_in
         from vialight.tomography.reconstruct import Settings
 
+        if frames.is_dir():
+            rig, out, frames = rig or file_in(frames, "rig.toml"), out or frames, file_in(frames, "frames.h5")
+        if rig is None or out is None:
+            raise click.UsageError("give --rig and --out, or a run's folder")
         settings = Settings(voxel, binning, turn, accurate, filter_name)
         with progress("slices") as advance:
             result = reconstruct_recording(frames, rig, out, settings=settings, threshold=threshold, progress=advance)

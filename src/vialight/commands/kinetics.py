@@ -76,12 +76,11 @@ def kinetics_of(
         The run cannot be read, or the place lies outside what the camera sees.
     """
     run = Path(run)
+    out = file_in(run, "kinetics") if out is None else out
     rig = load_rig(file_in(run, "rig.toml"))
     threshold = rig.need_threshold() if threshold is None else threshold
-    plan_path, part_path = (
-        _given_or_there(plan, file_in(run, "plan.h5")),
-        _given_or_there(reference, file_in(run, "reference.stl")),
-    )
+    plan_path = _given_or_there(plan, run, "plan.h5")
+    part_path = _given_or_there(reference, run, "reference.stl")
     part = None if part_path is None else load_mesh(part_path)
     rehearsal = file_in(run, REHEARSAL)
     model = StopModel.from_json(read_json(rehearsal)) if rehearsal.exists() else None
@@ -112,7 +111,7 @@ def kinetics_of(
         "table": {name: column.tolist() for name, column in table.items()},
         "versions": versions(),
     }  # fmt: skip
-    with staged_folder(run / "kinetics" if out is None else out) as folder:
+    with staged_folder(out) as folder:
         write_json(folder / "kinetics.json", result)
         _write_csv(folder / "kinetics.csv", table, unit)
         marks = [(one.what, float(light.turns_at(np.array([one.time_s]), turn_s)[0])) for one in failures]
@@ -142,9 +141,10 @@ def _failures(
     return sorted(found, key=lambda one: one.time_s)
 
 
-def _given_or_there(given: str | Path | None, there: Path) -> Path | None:
+def _given_or_there(given: str | Path | None, run: Path, name: str) -> Path | None:
     if given is not None:
         return Path(given)
+    there = file_in(run, name)
     return there if there.exists() else None
 
 

@@ -14,6 +14,7 @@ import json
 import os
 import stat
 import struct
+from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,8 @@ _HEADER_BYTES, _TABLE_BYTES = 1 << 24, 1 << 28
 """The most that is read of what is beside a recording, which may come from anywhere."""
 _SUPERBLOCK_BYTES, _FLAGS_AT, _END_AT = 48, 11, 28
 """Of HDF5's superblock of version 3: its length, where it says who has the file open, where it says how long it is."""
+_MOST_PLACES = 1 << 16
+"""Of tables in a recording: there is one for each 200 frames or so, so that these are the tables of days."""
 _UNFIT = (ValueError, KeyError, TypeError, OverflowError, RecursionError)
 """What comes of tables that someone else made."""
 _MASK = 0xFFFFFFFF
@@ -200,11 +203,13 @@ class _Patched(io.RawIOBase):
         # The file may be shorter: what a recording reserved and did not need is cut off when it is closed.
         if size > path.stat().st_size + len(pieces) or sum(length for _, length in places) != len(pieces):
             raise ValueError("lengths do not agree")
+        if len(places) > _MOST_PLACES:
+            raise ValueError(f"it has more than {_MOST_PLACES} places")
         self._size, self._at = size, 0
         self._places: list[tuple[int, bytes]] = []
         end = taken = 0
         for offset, length in places:
-            if offset < end or length < 0 or offset + length > size:
+            if offset < end or length <= 0 or offset + length > size:
                 raise ValueError("its places do not follow each other")
             self._places.append((offset, pieces[taken : taken + length]))
             end, taken = offset + length, taken + length
@@ -234,12 +239,19 @@ class _Patched(io.RawIOBase):
         self._file.seek(begin)
         found = self._file.read(stop - begin)
         view[: stop - begin] = found.ljust(stop - begin, b"\0")
-        for offset, piece in self._places:
+        for at in range(self._place_before(begin), len(self._places)):
+            offset, piece = self._places[at]
+            if offset >= stop:
+                break
             first, last = max(begin, offset), min(stop, offset + len(piece))
             if first < last:
                 view[first - begin : last - begin] = piece[first - offset : last - offset]
         self._at = stop
         return stop - begin
+
+    def _place_before(self, at: int) -> int:
+        """Return the last place that begins at a byte or before it; the first begins at 0."""
+        return bisect_right(self._places, at, key=lambda place: place[0]) - 1
 
     def close(self) -> None:
         if not self.closed:

@@ -96,8 +96,7 @@ def _array(file: BinaryIO, size: int, where: object) -> NDArray[Any]:
 
 def _header(file: BinaryIO) -> tuple[tuple[int, ...], np.dtype[Any], int]:
     version = np.lib.format.read_magic(file)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    if version not in read:
+    if version != (1, 0):  # later formats are for headers of more than 64 kB, which may unpack to gigabytes
         raise ValueError(f"it is of NumPy's format {version}")
-    shape, _, dtype = read[version](file)
+    shape, _, dtype = np.lib.format.read_array_header_1_0(file)
     return tuple(shape), dtype, file.tell()

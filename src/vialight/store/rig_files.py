@@ -23,10 +23,20 @@ _LONGEST_KEY = 80
 """That is shown whole."""
 _LARGEST_INTEGER = 2**63
 _TOKEN = re.compile(
-    r'"""(?:[^\\]|\\.)*?"""|' r"'''.*?'''|" r'"(?:[^"\\\n]|\\.)*"|' r"'[^'\n]*'|#[^\n]*|[\w+-]+|[ \t]+|.",
+    r'"""(?:[^\\]|\\.)*?"{3,5}|'
+    r"'''.*?'{3,5}|"
+    r'"""|'
+    r"'''|"
+    r'"(?:[^"\\\n]|\\.)*"|'
+    r"'[^'\n]*'|#[^\n]*|[\w+-]+|[ \t]+|.",
     re.DOTALL,
 )
-"""Of TOML: strings and comments, in which brackets and dots mean nothing, words, spaces, single characters."""
+"""Of TOML: strings and comments, in which brackets and dots mean nothing, words, spaces, single characters.
+
+A string of many lines may end with two quotes of its own before the three that close it.
+"""
+_OPENED = frozenset({'"""', "'''", '"', "'"})
+"""Tokens of strings that nothing closes; to go on behind them would search the rest of the text for each."""
 _ENDS_OF_KEYS = "=,[]{}\n#"
 
 
@@ -134,6 +144,8 @@ def _check_depth(text: str) -> None:
         raise ValueError(f"it has {len(text)} characters")
     brackets = parts = 0
     for token in _TOKEN.finditer(text):
+        if token[0] in _OPENED:
+            raise ValueError("a string has no end")
         first = token[0][0]
         if first in "[{":
             brackets += 1

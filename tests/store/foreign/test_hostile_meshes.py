@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 import zipfile
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from hostile import refused
+from hostile import LONGEST_S, refused
 from vialight.core.errors import InputError
 from vialight.store.foreign.meshes import load_mesh
 
@@ -68,6 +69,31 @@ def test_components_that_double_at_each_level_are_counted_and_not_built(tmp_path
     assert "is built of 5.369e+08 objects" in refused(load_mesh, path)
     nothing = OBJECT.replace(CORNER, "") + levels + '<build><item objectid="29"/></build>'
     assert "no triangles" in refused(load_mesh, write_3mf(path, nothing))
+
+
+def test_components_of_which_nothing_comes_are_not_followed_for_each_that_names_them(tmp_path: Path) -> None:
+    nothing = '<object id="7"/>'
+    holder = '<object id="8"><components>' + '<component objectid="7"/>' * 20_000 + "</components></object>"
+    content = OBJECT + nothing + holder.replace("<components>", '<components><component objectid="0"/>')
+    content += of_components(9, *[8] * 20_000) + '<build><item objectid="9"/></build>'
+    path = write_3mf(tmp_path / "part.3mf", content)
+    began = time.monotonic()
+    mesh = load_mesh(path)
+    assert time.monotonic() - began < LONGEST_S
+    assert len(mesh.faces) == 4 * 20_000
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_objects_that_are_named_too_often_are_refused_as_they_are_read(tmp_path: Path, levels: int) -> None:
+    named = [of_components(number, *[0] * (120_000 // levels)) for number in range(1, 1 + levels)]
+    path = write_3mf(tmp_path / "part.3mf", OBJECT.replace(CORNER, "") + "".join(named) + ITEM)
+    assert "names objects more than 100000 times" in refused(load_mesh, path)
+
+
+@pytest.mark.parametrize("begin", ['<vertex x="', "<!--", "<a", "<?a "])
+def test_a_tag_without_an_end_is_not_read_again_and_again(tmp_path: Path, begin: str) -> None:
+    path = write_3mf(tmp_path / "part.3mf", begin + "1" * 30_000_000)
+    assert "no tag in" in refused(load_mesh, path)
 
 
 def test_components_in_circles_are_refused(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from vialight.core.config import Rig, ThresholdConditions
 from vialight.core.drawing import Picture
 from vialight.store.provenance import inputs_json, versions
 from vialight.store.rig_files import load_rig
+from vialight.system import file_in
 
 PAGE = "check.html"
 
@@ -83,9 +84,9 @@ def check_calibration(
         The frames cannot be used, or `out` cannot be written.
     """
     run = Path(run)
-    frames = run / "frames.h5" if run.is_dir() else run
-    rig_path = Path(rig_path) if rig_path else run / "rig.toml"
-    page = run / PAGE if run.is_dir() else run.with_name(f"{run.stem}.{PAGE}")
+    frames = file_in(run, "frames.h5") if run.is_dir() else run
+    rig_path = Path(rig_path) if rig_path else file_in(run, "rig.toml")
+    page = file_in(run, PAGE) if run.is_dir() else run.with_name(f"{run.stem}.{PAGE}")
     if out is not None:
         check_out(rig_path, out)
     rig = load_rig(rig_path)

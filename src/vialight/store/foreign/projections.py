@@ -28,6 +28,9 @@ _MOST_LISTED_BYTES = 4_000_000
 _LARGE_BYTES = 250_000_000
 _MOST_PACKED = 260
 """Times that images are packed; patterns that are mostly black, to a hundredth."""
+_MODE_BYTES = {"1": 1, "L": 1, "P": 1, "LA": 2, "PA": 2, "I;16": 2, "I;16L": 2, "I;16B": 2, "RGB": 3}
+"""Of a pixel, by Pillow's names of kinds; of all others there are four."""
+_FLOAT32_BYTES = 4
 _FEWER = "take fewer or smaller images, or a machine with more memory"
 _WANTED = ".npy, .npz, a TIFF of many pages, or a folder of PNG or TIFF images"
 
@@ -163,12 +166,12 @@ def _read_folder(folder: Path) -> NDArray[Any]:
     stored_bytes = sum(check_plain(path) for path in files)
     for path in files:
         stack = _read_pages(path)
-        _check_stated(folder, len(files), len(files) * stack.nbytes, stored_bytes)
+        _check_stated(folder, len(files), len(files) * stack.size, len(files) * stack.nbytes, stored_bytes)
         pages += [(path.name, page) for page in stack]
     return _stacked(folder, pages)
 
 
-def _check_stated(path: Path, count: int, stated_bytes: int, stored_bytes: int) -> None:
+def _check_stated(path: Path, count: int, pixels: int, stated_bytes: int, stored_bytes: int) -> None:
     """Refuse images that state far more than is stored, or more than fits into memory."""
     if stated_bytes > _LARGE_BYTES and stated_bytes > _MOST_PACKED * stored_bytes:
         raise InputError(
@@ -177,16 +180,24 @@ def _check_stated(path: Path, count: int, stated_bytes: int, stored_bytes: int) 
             accepted="images that are there",
             remedy="export it again",
         )
-    need_memory(2 * stated_bytes, path, f"a stack of {count} images", _FEWER)
+    need_memory(stated_bytes + _FLOAT32_BYTES * pixels, path, f"a stack of {count} images", _FEWER)
 
 
 def _read_pages(path: Path) -> NDArray[Any]:
     from PIL import Image, ImageSequence
 
     with open_plain(path, _MOST_BYTES) as file, Image.open(file) as image:
-        size = file.seek(0, 2)
+        stored_bytes = file.seek(0, 2)
         count = getattr(image, "n_frames", 1)
-        _check_stated(path, count, count * image.width * image.height, size)
+        stated_bytes, first = 0, image.size
+        for index in range(count):  # what each page states is known before any is decoded
+            image.seek(index)
+            if image.size != first:
+                raise InputError(
+                    path, f"page 0 is {first}, page {index} is {image.size}", accepted="images of one size and kind"
+                )
+            stated_bytes += image.width * image.height * _MODE_BYTES.get(image.mode, 4)
+        _check_stated(path, count, count * image.width * image.height, stated_bytes, stored_bytes)
         pages = enumerate(ImageSequence.Iterator(image))
         return _stacked(path, [(f"page {index}", _grey(path, page)) for index, page in pages])
 

@@ -30,7 +30,8 @@ _DEEPEST = 32
 _LEAST_BYTES, _MOST_PACKED = 32_000_000, 30
 """Text that any file may unpack to, and times that a file's own size may be; meshes are packed to a tenth."""
 _TRIANGLE_BYTES = 200
-_AT_ONCE = 1 << 16
+_AT_ONCE, _LONGEST_TAG = 1 << 18, 1 << 20
+"""Text that is parsed at once, and from one tag to the next: a tag that is not yet whole is read anew each time."""
 
 _Key = tuple[str, str]
 """Part of the archive, and the number of an object in it."""
@@ -98,6 +99,8 @@ class _Model:
         self._where = where
         self.objects: dict[_Key, _Object] = {}
         self.build: list[_Use] = []
+        self.uses = 0
+        """Components and items."""
         self.mm = 1.0
         names = {name.strip("/").lower(): name for name in archive.namelist()}
         main = next((name for name in names if name.endswith(_MODEL)), None)
@@ -117,7 +120,10 @@ class _Model:
             waiting.extend(sorted(reader.named))
 
     def size_of_build(self) -> tuple[float, float]:
-        """Return triangles and objects with triangles that are to be built, counted without building anything."""
+        """Return triangles and objects with triangles that are to be built, counted without building anything.
+
+        Uses of which no triangles come are dropped: others may name them more often than could ever be followed.
+        """
 
         @cache
         def size_of(key: _Key, depth: int) -> tuple[float, float]:
@@ -127,20 +133,22 @@ class _Model:
                 )
             held = self.objects.get(key, _Object())
             triangles, instances = len(held.corners) / 3, float(len(held.corners) > 0)
-            for use in held.components:
-                inner = size_of(use.key, depth + 1)
-                triangles, instances = triangles + inner[0], instances + inner[1]
-            return triangles, instances
+            held.components, inner_triangles, inner_instances = total(held.components, depth + 1)
+            return triangles + inner_triangles, instances + inner_instances
 
-        sizes = [size_of(use.key, 0) for use in self.build]
-        self._size_of = size_of
-        return sum(size[0] for size in sizes), sum(size[1] for size in sizes)
+        def total(uses: list[_Use], depth: int) -> tuple[list[_Use], float, float]:
+            sizes = [size_of(use.key, depth) for use in uses]
+            kept = [use for use, (triangles, _) in zip(uses, sizes, strict=True) if triangles]
+            return kept, sum(size[0] for size in sizes), sum(size[1] for size in sizes)
+
+        self.build, triangles, instances = total(self.build, 0)
+        return triangles, instances
 
     def built(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return vertices in mm and faces of all that is built."""
         vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
         for use in self.build:
-            for points, corners in self._instances(use, 0):
+            for points, corners in self._instances(use):
                 if corners.min() < 0 or corners.max() >= len(points):
                     raise ValueError(f"its triangles name vertices {corners.min()} to {corners.max()}")
                 vertices.append(points * self.mm)
@@ -148,9 +156,7 @@ class _Model:
                 count += len(points)
         return np.concatenate(vertices), np.concatenate(faces)
 
-    def _instances(self, use: _Use, depth: int) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-        if not self._size_of(use.key, depth)[0]:  # nothing comes of it, however often it is named
-            return
+    def _instances(self, use: _Use) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
         held = self.objects[use.key]
         is_mirrored = np.linalg.det(use.turn) < 0
         if len(held.corners):
@@ -158,7 +164,7 @@ class _Model:
             corners = np.frombuffer(held.corners, np.int64).reshape(-1, 3)
             yield points @ use.turn + use.shift, corners[:, ::-1] if is_mirrored else corners
         for inner in held.components:
-            for points, corners in self._instances(inner, depth + 1):
+            for points, corners in self._instances(inner):
                 yield points @ use.turn + use.shift, corners[:, ::-1] if is_mirrored else corners
 
 
@@ -168,6 +174,7 @@ class _PartReader:
     def __init__(self, model: _Model, part: str, *, is_main: bool) -> None:
         self._model, self._part, self._is_main = model, part, is_main
         self._object: _Object | None = None
+        self._since_tag = 0
         self.named: set[str] = set()
         """Parts that this one takes objects from."""
 
@@ -177,6 +184,9 @@ class _PartReader:
         parser.StartDoctypeDeclHandler = self._refuse
         while piece := file.read(_AT_ONCE):
             parser.Parse(piece, False)
+            self._since_tag += len(piece)
+            if self._since_tag > _LONGEST_TAG:
+                raise ValueError(f"it has no tag in {self._since_tag} bytes of text")
         parser.Parse(b"", True)
 
     @staticmethod
@@ -184,6 +194,7 @@ class _PartReader:
         raise ValueError("it declares a document type, which 3MF forbids")
 
     def _start(self, name: str, given: dict[str, str]) -> None:
+        self._since_tag = 0
         kind = name.rpartition(" ")[2]
         held = self._object
         if kind == "vertex" and held is not None:
@@ -206,6 +217,9 @@ class _PartReader:
         path = next((value for name, value in given.items() if name.endswith(" path")), None)
         part = self._part if path is None else path.strip("/").lower()
         self.named.add(part)
+        self._model.uses += 1
+        if self._model.uses > _MOST_INSTANCES:
+            raise ValueError(f"it names objects more than {_MOST_INSTANCES} times")
         numbers = [float(number) for number in given.get("transform", "1 0 0 0 1 0 0 0 1 0 0 0").split()]
         if len(numbers) != 12 or not all(map(math.isfinite, numbers)):
             raise ValueError("a transform is not of 12 numbers")
