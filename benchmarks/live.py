@@ -1,6 +1,6 @@
 """Time what each arriving frame costs the live volume, and measure how far it drifts from a fresh reconstruction.
 
-Usage: ``python benchmarks/live.py [--short] [--markdown docs/benchmarks-live.md]``.
+Usage: ``python benchmarks/live.py [--short] [--markdown docs/benchmarks-replaying.md]``.
 """
 
 from __future__ import annotations
@@ -276,7 +276,9 @@ def main() -> None:
         arguments = [sys.executable, __file__, "--case", str(number)] + (["--short"] if options.short else [])
         told = subprocess.run(arguments, check=True, stdout=subprocess.PIPE, text=True).stdout
         results.append((case, Found(**json.loads(told))))
-    command = "python benchmarks/live.py" + (" --short" if options.short else " --markdown docs/benchmarks-live.md")
+    command = "python benchmarks/live.py" + (
+        " --short" if options.short else " --markdown docs/benchmarks-replaying.md"
+    )
     text = report(results, host, command)
     print(text)
     if options.markdown:

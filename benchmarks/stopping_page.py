@@ -134,14 +134,15 @@ Made by `python benchmarks/stopping.py --markdown docs/stopping.md`, Python {pyt
 is in [ADR 6](adr/0006-when-to-stop.md).
 
 The twin prints five parts, planned on voxels of {voxel:g} mm, in DUDMA, with {irradiance:g}
-mW/cm^2 at level 255 and noisy frames of 0.31 mm pixels.  The live volume is that of `live.SlidingWindow`, looked at
-thirty times a turn.
+mW/cm^2 at level 255 and noisy frames of 0.31 mm pixels.  The live volume is that of
+`tomography.sliding.window.SlidingWindow`, looked at thirty times a turn.
 All that is known beforehand is a rehearsal of the plan in resins of nominal chemistry.
 
 - *best*: lit time after which the final shape, dark cure included, has the least two-sided RMSE to the design,
   `sqrt((RMSE(print to design)^2 + RMSE(design to print)^2) / 2)`.  The twin's state is kept every 2 s, its light cut,
   its dark cure let finish; the best is the lowest point of a parabola through the squares.
-- *auto*: lit time at which `control.should_stop` turned the light off; *error*: its dose relative to the best.
+- *auto*: lit time at which `control.prediction.should_stop` turned the light off; *error*: its dose relative to the
+  best.
 - *sigma*: the stated standard deviation; *covered*: predicted and best differ by no more than {sigmas:g} of them.
 - *first told*: when a prediction was first good enough to act on.
 """

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hostile import refused
+from hostile import read_frames, refused
 from vialight.core.arrays import Grid, Volume
 from vialight.core.errors import InputError
 from vialight.core.mesh import Mesh
@@ -35,13 +35,14 @@ from vialight.store import (
     read_table,
     read_volume,
     sha256_of,
+    write_frames,
     write_ply,
     write_state,
     write_volume,
 )
 from vialight.store.hdf5 import dataset_names
 from vialight.store.rig_files import load_rig, parse_toml
-from vialight.system import file_in, need_memory
+from vialight.system import file_in, need_memory, open_plain
 
 HUGE = 2**40
 
@@ -498,6 +499,16 @@ def test_a_folder_that_is_hashed_names_nothing_elsewhere(tmp_path: Path) -> None
     (tmp_path / "stack" / "a.png").symlink_to("/etc/hostname")
     with pytest.raises(InputError, match="leads out of its folder"):
         sha256_of(tmp_path / "stack")
+
+
+def test_holes_are_refused_in_what_is_read_from_end_to_end_alone(tmp_path: Path) -> None:
+    path = tmp_path / "frames.h5"
+    write_frames(path, np.ones((4, 2, 3), np.uint16), np.arange(4.0), time_s=np.arange(4.0))
+    with path.open("r+b") as file:
+        file.truncate(3_000_000_000)
+    read_frames(path)
+    with pytest.raises(InputError, match="is all holes"):
+        open_plain(path, HUGE)
 
 
 def test_datasets_are_listed_without_walking_endless_groups(tmp_path: Path) -> None:

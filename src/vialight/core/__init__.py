@@ -7,6 +7,7 @@ Start with `arrays`: it states the layout of every array once.
 - `config`: the rig's tables, and what their values may be
 - `plan`: what a print is made from
 - `messages`: what the processes of one print tell each other
+- `codec`: messages as bytes and back
 - `drawing`: pictures as PNG, in one style
 - `compiling`: how all kernels are compiled
 """

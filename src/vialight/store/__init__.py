@@ -1,4 +1,4 @@
-"""Every run file of vialight: frames, volumes, plans, meshes, results, and folders that fill all at once.
+"""Every run file of vialight: frames, volumes, plans, meshes, results, folders that fill all at once; foreign files.
 
 Importing this is cheap: h5py, hdf5plugin and zarr are imported when a file is opened.
 """

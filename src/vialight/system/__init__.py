@@ -6,6 +6,7 @@
 - `processes`: a process told apart from a later one of the same number; whether it runs, is stopped, or is gone; and
   children that import nothing from the current folder
 - `shared_files`: private folders in memory, and files in them that several processes map
+- `mailboxes`: the newest of something, shared between processes that never wait for each other
 - `interrupts`: Ctrl-C and the wish to end, heard at once whatever the main thread does
 - `lines`: lines for a slow place, for which nobody waits
 - `waiting`: waits that have an end, and end at once where something is wrong

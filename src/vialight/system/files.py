@@ -100,7 +100,7 @@ def open_plain(path: str | Path, most_bytes: int) -> io.BufferedReader:
     Raises
     ------
     InputError
-        It is a pipe, a socket or a device, or is too large.
+        It is a pipe, a socket or a device, is too large, or is all holes.
     OSError
         It is missing, is a folder, or may not be read.
     """
@@ -108,7 +108,9 @@ def open_plain(path: str | Path, most_bytes: int) -> io.BufferedReader:
     flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
     descriptor = os.open(path, flags)
     try:
-        _checked(path, os.fstat(descriptor), most_bytes)  # it may have been exchanged meanwhile
+        found = os.fstat(descriptor)
+        _checked(path, found, most_bytes)  # it may have been exchanged meanwhile
+        _refuse_holes(path, found)
         return os.fdopen(descriptor, "rb")
     except BaseException:
         os.close(descriptor)
@@ -146,6 +148,11 @@ def _checked(path: str | Path, found: os.stat_result, most_bytes: int | None) ->
         raise InputError(path, f"is {kind}", accepted="a plain file", remedy="check the path")
     if most_bytes is not None and found.st_size > most_bytes:
         raise _too_large(path, found.st_size, most_bytes)
+    return found.st_size
+
+
+def _refuse_holes(path: str | Path, found: os.stat_result) -> None:
+    """Refuse to read from end to end what is hardly there; formats such as HDF5 leave holes and read none of them."""
     stored_bytes = 512 * getattr(found, "st_blocks", found.st_size)
     if found.st_size > _LARGE_BYTES and found.st_size > _MOST_HOLES * (stored_bytes + 1):
         raise InputError(
@@ -154,7 +161,6 @@ def _checked(path: str | Path, found: os.stat_result, most_bytes: int | None) ->
             accepted="a file that was written to its end",
             remedy="copy it again",
         )
-    return found.st_size
 
 
 def _too_large(path: str | Path, size: int, most_bytes: int) -> InputError:

@@ -1,4 +1,4 @@
-"""The reference as the page shows it: its sum projections on a snapshot's grid, and its surface."""
+"""The reference as the page shows it: its sum projections on a snapshot's grid."""
 
 from __future__ import annotations
 

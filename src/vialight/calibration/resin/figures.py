@@ -1,4 +1,4 @@
-"""Figures of the calibrations' pages, as PNG."""
+"""Figures of the resin, as PNG."""
 
 from __future__ import annotations
 

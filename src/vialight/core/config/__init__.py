@@ -1,7 +1,7 @@
-"""The rig: what is known of vial, resin, camera, projector and stage, read from TOML and checked.
+"""The rig: what is known of vial, resin, camera, projector and stage, as checked tables.
 
-A rig is data: frozen, validated when read, with unknown keys refused.  A command asks for the tables that it needs;
-what it does not need may be absent.
+A rig is data: frozen, validated, with unknown keys refused; `store.rig_files` reads it from TOML.  A command asks
+for the tables that it needs; what it does not need may be absent.
 """
 
 from vialight.core.config.conditions import ThresholdConditions

@@ -1,4 +1,4 @@
-"""Stage: a part becomes what is to be cured: checked, placed in the vial, cut into voxels.
+"""A part becomes what is to be cured: checked, placed in the vial, cut into voxels.
 
 - `soundness`, `self_intersection`: whether a mesh says what is inside
 - `room`: where in the vial the projector can print

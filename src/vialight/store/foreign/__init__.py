@@ -1,1 +1,1 @@
-"""Files of other programs: projections, height maps of profilometers, patterns for other printers."""
+"""Files of other programs: meshes, projections, height maps of profilometers, patterns for other printers."""

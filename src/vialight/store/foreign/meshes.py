@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vialight.core.errors import InputError
 from vialight.core.mesh import Mesh, merge_coincident
-from vialight.system import check_plain, need_memory, read_plain
+from vialight.system import need_memory, open_plain
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".3mf")
 _STL_HEADER_BYTES = 84
@@ -45,8 +45,11 @@ def load_mesh(path: str | Path) -> Mesh:
             accepted=", ".join(MESH_SUFFIXES), remedy="convert it",
         )  # fmt: skip
     try:
-        need_memory(_COPIES * check_plain(path, _MOST_BYTES), path, "its mesh", "export it more coarsely")
-        content = read_plain(path, _MOST_BYTES)
+        with open_plain(path, _MOST_BYTES) as file:
+            size = file.seek(0, 2)
+            need_memory(_COPIES * size, path, "its mesh", "export it more coarsely")
+            file.seek(0)
+            content = file.read(size)
     except OSError as error:
         raise InputError(
             path, f"cannot be read ({error.strerror})", accepted="a mesh file", remedy="check the path"
