@@ -57,6 +57,7 @@ class State(NamedTuple):
     guardian: Health = "runs"
     guardian_did: int = 0
     silent: int = 0
+    had_leave: bool = False
     unwanted: int | None = None
     guardian_age: int = 0
     is_covered: bool = False
@@ -142,12 +143,16 @@ def _projector(state: State) -> State:
 def _guardian(state: State) -> State:
     if state.projector == "dead":
         return state._replace(guardian_did=1, guardian_age=0, is_covered=True)
-    vigil = Vigil(-TICK_S, 0.0, state.silent * TICK_S, None if state.unwanted is None else state.unwanted * TICK_S)
+    unwanted_s = None if state.unwanted is None else state.unwanted * TICK_S
+    vigil = Vigil(-TICK_S, 0.0, state.silent * TICK_S, state.had_leave, unwanted_s)
     until = state.lease_left * TICK_S if state.lease == LightPhase.LIT else -1.0
-    why = vigil.alarm(Sight(0.0, float(state.has_beaten), state.is_lit, until, state.is_stopped))
+    why = vigil.alarm(
+        Sight(0.0, float(state.has_beaten), state.is_lit, until, state.lease == LightPhase.LIT, state.is_stopped)
+    )
     seen = state._replace(
         guardian_did=1, guardian_age=0, has_beaten=False,
-        silent=round(vigil.silent_s / TICK_S),
+        silent=min(round(vigil.silent_s / TICK_S), 4),
+        had_leave=vigil.had_leave,
         unwanted=None if vigil.unwanted_s is None else round(vigil.unwanted_s / TICK_S),
     )  # fmt: skip
     if why is None:

@@ -20,7 +20,7 @@ import psutil
 from vialight.core.errors import VialightError
 from vialight.devices.leasing import LOOK_S, Sight, Vigil
 from vialight.devices.panel import LightPanel
-from vialight.devices.protocols import Lease, Shown
+from vialight.devices.protocols import Lease, LightPhase, Shown
 from vialight.system import leave_interrupts_to_the_print, state_of, wait_for
 from vialight.system.mailboxes import Mailbox
 
@@ -159,6 +159,7 @@ class _Watch:
             beat_s,
             shown is not None and shown[1].pattern is not None,
             lease[1].until_monotonic_s if lease is not None else 0.0,
+            lease is not None and lease[1].phase == LightPhase.LIT,
             self._panel.is_stopped,
         )
 

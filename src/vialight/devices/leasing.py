@@ -94,6 +94,8 @@ class Sight(NamedTuple):
     """Whether the projector says that it shows light."""
     leave_until_s: float
     """By the wall clock: when leave to show light ended, or will."""
+    may_light: bool
+    """Whether the newest lease is one for light, be it over or not."""
     is_stopped: bool
 
 
@@ -101,12 +103,14 @@ class Sight(NamedTuple):
 class Vigil:
     """What the guardian remembers between looks.
 
-    A time only counts as far as the guardian itself was looking: where the machine stands still, both stand still.
+    A time only counts as far as the guardian itself was looking: where the machine stands still, both stand still.  A
+    projector that hangs in the dark, and had no leave when it looked for one last, cannot light when it goes on: it is
+    let be, so that a computer that is busy before the light ends no print.
 
     Examples
     --------
     >>> vigil = Vigil()
-    >>> looks = [Sight(0.02 * k, 0.0, True, 99.0, False) for k in range(12)]
+    >>> looks = [Sight(0.02 * k, 0.0, True, 99.0, True, False) for k in range(12)]
     >>> [vigil.alarm(look) for look in looks][-1]
     'has given no sign of life for 0.15 s'
     """
@@ -114,6 +118,8 @@ class Vigil:
     last_s: float | None = None
     beat_s: float = 0.0
     silent_s: float = 0.0
+    had_leave: bool = False
+    """Whether there was a lease for light at the last look, or since the projector's last sign of life."""
     unwanted_s: float | None = None
     """None while there is no light that nobody has given leave for."""
 
@@ -121,12 +127,15 @@ class Vigil:
         """Return why the light is to be covered; None while all is well."""
         passed = 0.0 if self.last_s is None else min(max(sight.monotonic_s - self.last_s, 0.0), _MOST_A_LOOK_S)
         self.last_s = sight.monotonic_s
-        self.silent_s = self.silent_s + passed if sight.beat_s == self.beat_s else 0.0
+        is_silent = sight.beat_s == self.beat_s
+        self.silent_s = self.silent_s + passed if is_silent else 0.0
         self.beat_s = sight.beat_s
+        could_light = self.had_leave or sight.may_light or sight.is_lit
+        self.had_leave = could_light if is_silent else sight.may_light
         is_unwanted = sight.is_lit and (sight.is_stopped or sight.monotonic_s > sight.leave_until_s)
         before_s = 0.0 if self.unwanted_s is None else self.unwanted_s + passed
         self.unwanted_s = before_s if is_unwanted else None
-        if self.silent_s >= HUNG_S:
+        if self.silent_s >= HUNG_S and could_light:
             return f"has given no sign of life for {HUNG_S:g} s"
         if self.unwanted_s is not None and self.unwanted_s >= DISOBEYED_S:
             return f"has shown light without leave for {DISOBEYED_S:g} s"

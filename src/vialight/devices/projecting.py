@@ -29,8 +29,8 @@ from vialight.system.mailboxes import Mailbox
 
 _START_TIMEOUT_S = 60.0
 _END_TIMEOUT_S = 3.0
-_GUARDIAN_SILENT_S = 0.1
-"""Without a sign of life after which the guardian is taken for hung, and the light goes off."""
+_SILENT_S = 0.1
+"""Without a sign of life after which projector or guardian are taken for hung, and the light is held."""
 
 
 class Screen(Protocol):
@@ -166,7 +166,7 @@ class ProjectorProcess:
 
     def shown(self) -> Shown:
         """Return what is on the screen now."""
-        is_unguarded = not self.processes["guardian"].is_alive() or self._panel.age_s("guardian") > _GUARDIAN_SILENT_S
+        is_unguarded = not self.processes["guardian"].is_alive() or self._panel.age_s("guardian") > _SILENT_S
         if is_unguarded and self._panel.age_s("projector") > HUNG_S:
             self.processes["projector"].kill()  # both hang: nobody else is left to do it
         for name, process in self.processes.items():
@@ -174,8 +174,10 @@ class ProjectorProcess:
                 if name == "projector":
                     self._panel.tell_ended()
                 raise DeviceGoneError("projector", self._why_ended(name))
-        if (silent_s := self._panel.age_s("guardian")) > _GUARDIAN_SILENT_S:
+        if (silent_s := self._panel.age_s("guardian")) > _SILENT_S:
             raise DeviceError("projector", f"its guardian has given no sign of life for {silent_s:.2f} s")
+        if (silent_s := self._panel.age_s("projector")) > _SILENT_S:
+            raise DeviceError("projector", f"has given no sign of life for {silent_s:.2f} s")
         found = self._shown.newest()
         assert found is not None  # put before the process says that it is ready
         return found[1]
