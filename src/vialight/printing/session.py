@@ -371,8 +371,7 @@ class _Session:
 @contextlib.contextmanager
 def _short_pauses_for_garbage() -> Iterator[None]:
     """Keep the interpreter from looking through all that was there before whenever it clears memory away."""
-    gc.collect()
-    gc.freeze()
+    gc.freeze()  # without a collection before it, which would itself hold up the light's thread
     try:
         yield
     finally:
