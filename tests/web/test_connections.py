@@ -77,7 +77,7 @@ def test_300_silent_connections_keep_no_stop_from_the_print(stoppable: tuple[Pre
         began = time.monotonic()
         answer = client.post(f"{path}/stop")
         assert time.monotonic() - began < QUICK_S
-    assert (answer.status, answer.json) == (200, {"state": "after"})
+    assert (answer.status, answer.json) == (200, {"state": "after", "is_dark": True, "is_over": True})
     assert not printing.is_lit
 
 
@@ -96,7 +96,7 @@ def test_1100_silent_connections_and_1024_descriptors_keep_no_stop_from_the_prin
                 began = time.monotonic()
                 answer = client.post(f"{path}/stop")
                 assert time.monotonic() - began < QUICK_S
-            assert (answer.status, answer.json) == (200, {"state": "after"})
+            assert (answer.status, answer.json) == (200, {"state": "after", "is_dark": True, "is_over": True})
             process.communicate("")
 
 

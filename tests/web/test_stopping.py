@@ -59,7 +59,7 @@ def stoppable(tmp_path: Path) -> Iterator[Stoppable]:
 
 def test_stops_own_listener_takes_a_right_token_once_and_again(stoppable: Stoppable) -> None:
     answer = stoppable.stop.post(stoppable.path)
-    assert (answer.status, answer.json) == (200, {"state": "after"})
+    assert (answer.status, answer.json) == (200, {"state": "after", "is_dark": True, "is_over": True})
     assert not stoppable.printing.is_lit
     assert stoppable.printing.orders == [{"do": "stop", "by": "page at 127.0.0.1"}]
 
@@ -155,7 +155,7 @@ def test_stop_goes_through_when_its_process_has_no_descriptor_left_but_those_in_
     for _ in range(2):
         began = time.monotonic()
         answer = stoppable.stop.post(stoppable.path)
-        assert (answer.status, answer.json) == (200, {"state": "after"})
+        assert (answer.status, answer.json) == (200, {"state": "after", "is_dark": True, "is_over": True})
         assert time.monotonic() - began < 2 * QUICK_S
     assert not stoppable.printing.is_lit
 

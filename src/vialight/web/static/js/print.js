@@ -77,7 +77,7 @@ export class PrintPage {
 
   stopPaths() {
     const path = `/api/runs/${this.run.key}/stop`;
-    return this.stopPort ? [path, `http://${location.hostname}:${this.stopPort}${path}`] : [path];
+    return this.stopPort ? [path, `${location.protocol}//${location.hostname}:${this.stopPort}${path}`] : [path];
   }
 
   async getReference() {
