@@ -20,7 +20,7 @@ from vialight.system import ProcessIdentity, identity_of, is_same_process, is_sh
 
 _NAME = "live.json"
 _LARGEST_BYTES = 4096
-_NOT_THERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
+_NOT_THERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
 
 
 class UnknownStateError(InputError):

@@ -5,7 +5,6 @@ A folder may come from anywhere: what is in it is data, links in it lead nowhere
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 import stat
@@ -17,11 +16,8 @@ from vialight.core.errors import InputError, VialightError
 from vialight.printing.live_link import LiveLink, find_live_print
 
 _MARKS = ("run.json", "live.json", "frames.h5", "history", "reconstruction.json")
-_LIVE = "live.json"
-_MOST_BYTES_OF_LINK = 65_536
 _MOST_NAMES = 100_000
 """Names in a folder that are looked through."""
-_NOT_THERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
 
 
 Mark = tuple[int, int]
@@ -167,19 +163,11 @@ def find_print(run: Run) -> LiveLink | None:
     CannotTellError
         It does not: for want of descriptors or of permission, or because its disk does not answer.
     """
-    path = run.folder / _LIVE
     try:
-        about = path.lstat()
-        if not stat.S_ISREG(about.st_mode) or about.st_size > _MOST_BYTES_OF_LINK:
-            return None
-        os.close(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW))
         return find_live_print(run.folder)
-    except OSError as error:
-        if error.errno in _NOT_THERE:
-            return None
-        raise cannot_tell(error.strerror or str(error)) from error
-    except VialightError as error:
-        raise cannot_tell(str(error)) from error
+    except (VialightError, OSError) as error:
+        why = getattr(error.__cause__ or error, "strerror", None)
+        raise cannot_tell(why or str(error)) from error
 
 
 def cannot_tell(why: str) -> CannotTellError:
